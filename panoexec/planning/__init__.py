@@ -1,0 +1,1 @@
+"""The overlap planner: pure geometry in numpy, no input or output."""
