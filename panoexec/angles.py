@@ -127,7 +127,7 @@ def rotation_from_quaternion(q_wxyz: ArrayLike) -> FloatArray:
 def quaternion_from_rotation(rotations: ArrayLike) -> FloatArray:
     """Unit quaternions (..., 4) `[w, x, y, z]`, w ≥ 0, of rotation matrices (..., 3, 3).
 
-    Each component's magnitude comes from the diagonal and the best-conditioned one fixes the others (Shepperd's method).
+    Each component's magnitude comes from the diagonal; the best-conditioned one fixes the others (Shepperd).
     """
     m = np.asarray(rotations, dtype=np.float64)
     d = np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]], axis=-1)

@@ -87,7 +87,7 @@ class Camera:
         )
 
     def panorama_px(self) -> tuple[int, int]:
-        """Width and height of the whole equirectangular sphere at the image's own resolution: 2π times the focal length.
+        """Width and height of the whole equirectangular sphere at full resolution: 2π times the focal length.
 
         The paper's Table 3 widths come out within 0.5 % with calibrated focal lengths.
         """
