@@ -39,7 +39,7 @@ def corner_rays(camera: Camera) -> FloatArray:
 
 
 def rectangle(camera: Camera) -> FloatArray:
-    """The corners in the image plane, (4, 2), each (y right, z down) at distance 1, numbered as in the module's text."""
+    """The corners in the image plane, (4, 2), each (y right, z down), numbered as in the module's text."""
     w, h = camera.half_width, camera.half_height
     return np.array([[-w, -h], [w, -h], [w, h], [-w, h]])
 
@@ -60,22 +60,6 @@ def outline(camera: Camera, rotation: ArrayLike, points_per_edge: int = 16) -> F
     edges = [corners[i] + step * (corners[(i + 1) % 4] - corners[i]) for i in range(4)]
     rays = _on_sphere(np.concatenate(edges))
     return np.asarray(rays @ np.swapaxes(np.asarray(rotation, dtype=np.float64), -1, -2))
-
-
-def image_plane(rotation: ArrayLike, directions: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Where directions fall in an image plane.
-
-    Args:
-        rotation: camera-to-world rotation (3, 3), or (n, 1, 3, 3) for every pair of images and directions.
-        directions: world vectors (..., 3).
-
-    Returns:
-        depth x (positive in front), and y / x, z / x (meaningless where x ≤ 0), each (...).
-    """
-    v = np.einsum("...ji,...j->...i", np.asarray(rotation, dtype=np.float64), np.asarray(directions, dtype=np.float64))
-    depth = v[..., 0]
-    safe = np.where(depth > 0, depth, 1.0)
-    return depth, v[..., 1] / safe, v[..., 2] / safe
 
 
 def inside_margin(camera: Camera, rotation: ArrayLike, directions: ArrayLike) -> FloatArray:
