@@ -1,0 +1,83 @@
+"""Writing files so that readers see the old or the new one, never half of one."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from panoexec.errors import UsageError
+
+
+def write_atomically(path: Path, content: bytes | str, *, sync: bool = True) -> None:
+    """Write a whole file: a temporary one beside it, fsync, rename.
+
+    Args:
+        path: the file; its folder must exist.
+        content: bytes, or text that is written as UTF-8.
+        sync: whether to wait for the disk, so that the file survives a power cut right after.
+
+    Raises:
+        UsageError: the file cannot be written; the message names it and the system's reason. Nothing is left behind.
+    """
+    data = content.encode() if isinstance(content, str) else content
+
+    def write(temporary: Path) -> None:
+        temporary.write_bytes(data)
+
+    write_atomically_with(path, write, sync=sync)
+
+
+def write_atomically_with(path: Path, write: Callable[[Path], None], *, sync: bool = True) -> None:
+    """Like `write_atomically` for content that only some library can write.
+
+    Args:
+        path: the file; its folder must exist.
+        write: writes the content to the path it is given, which has the same suffix as `path`.
+        sync: as above.
+
+    Raises:
+        UsageError: the file cannot be written. Whatever else `write` raises passes through; nothing is left behind.
+    """
+    try:
+        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+    except OSError as error:
+        raise _unwritable(path, error) from error
+    os.close(descriptor)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        # mkstemp makes files that only their owner can read
+        temporary.chmod(0o666 & ~_umask())
+        if sync:
+            _sync(temporary)
+        temporary.replace(path)
+        if sync:
+            _sync(path.parent)
+    except OSError as error:
+        raise _unwritable(path, error) from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+
+
+def _unwritable(path: Path, error: OSError) -> UsageError:
+    reason = error.strerror or type(error).__name__
+    return UsageError(f"{path}: cannot be written ({reason}); name a file in an existing, writable folder")
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _umask() -> int:
+    """The process's umask, which can only be read by setting it."""
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask
