@@ -1,0 +1,190 @@
+"""The vehicle under the gimbal: hovering in wind, GPS wander, battery, arming, take-off and landing. Pure, stepped."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+
+from panoexec.sim.config import AirframeConfig
+from panoexec.sim.world import BoundedDrift, seeded
+
+_METRES_PER_DEG = 111_320.0
+_LEAN_REFERENCE_M_S = 8.0
+_LEAN_MAX_DEG = 35.0
+_LEAN_LAG_S = 0.6
+_CLIMB_M_S = 2.5
+_DESCENT_M_S = 1.0
+_IDLE_DRAIN = 0.05
+_CELLS = 4
+_CELL_EMPTY_V, _CELL_FULL_V = 3.3, 4.2
+
+
+class LandedState(IntEnum):
+    """MAV_LANDED_STATE."""
+
+    ON_GROUND = 1
+    IN_AIR = 2
+    TAKEOFF = 3
+    LANDING = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AirframeState:
+    """Where the vehicle truly is and how it truly stands.
+
+    Attributes:
+        roll_deg, pitch_deg, yaw_deg: attitude (3-2-1, yaw from true north, unwrapped).
+        roll_rate_deg_s, pitch_rate_deg_s, yaw_rate_deg_s: their rates.
+        north_m, east_m, up_m: from home.
+    """
+
+    roll_deg: float
+    pitch_deg: float
+    yaw_deg: float
+    roll_rate_deg_s: float
+    pitch_rate_deg_s: float
+    yaw_rate_deg_s: float
+    north_m: float
+    east_m: float
+    up_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Position:
+    """What the GPS says: degrees, metres above mean sea level and above home, velocity north, east, down in m/s."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    relative_altitude_m: float
+    velocity_m_s: tuple[float, float, float]
+
+
+class Airframe:
+    """A multirotor that holds its place as well as wind and GPS let it.
+
+    Attributes:
+        armed: motors turn.
+        wind_m_s: what blows at the moment.
+        battery_frac: charge, 0 to 1.
+    """
+
+    def __init__(self, config: AirframeConfig, *, seed: int) -> None:
+        self.config = config
+        self.armed = config.in_air
+        self.wind_m_s = config.wind_m_s
+        self.battery_frac = config.battery_frac
+        self._time_s = 0.0
+        self._height_m = config.height_m if config.in_air else 0.0
+        self._height_goal_m = self._height_m
+        self._lean_deg = self._steady_lean()
+        self._climb_m_s = 0.0
+
+        def wander(name: str, period_s: float) -> BoundedDrift:
+            # a bound of 1/0.35 makes a standard deviation of 1
+            return BoundedDrift(1 / 0.3536, period_s, seeded(seed, f"airframe/{name}"))
+
+        self._sway_roll, self._sway_pitch = wander("roll", 1.3), wander("pitch", 1.1)
+        self._sway_yaw = wander("yaw", 4.0)
+        self._hold = [wander(f"hold/{axis}", 6.0) for axis in "neu"]
+        self._gps = [wander(f"gps/{axis}", 80.0) for axis in "neu"]
+
+    def _steady_lean(self) -> float:
+        lean = self.config.lean_deg * (self.wind_m_s / _LEAN_REFERENCE_M_S) ** 2
+        return min(lean, _LEAN_MAX_DEG) if self.is_flying else 0.0
+
+    @property
+    def is_flying(self) -> bool:
+        """Whether it is off the ground."""
+        return self._height_m > 0.1
+
+    @property
+    def landed_state(self) -> LandedState:
+        """As EXTENDED_SYS_STATE tells it."""
+        if not self.is_flying:
+            return LandedState.ON_GROUND
+        if self._climb_m_s > 0.5 and self._height_goal_m - self._height_m > 0.5:
+            return LandedState.TAKEOFF
+        return LandedState.LANDING if self._height_goal_m <= 0 else LandedState.IN_AIR
+
+    @property
+    def voltage_v(self) -> float:
+        """Of the battery, under load."""
+        return _CELLS * (_CELL_EMPTY_V + (_CELL_FULL_V - _CELL_EMPTY_V) * self.battery_frac)
+
+    def arm(self, armed: bool) -> bool:
+        """Start or stop the motors; refused (False) when stopping in the air."""
+        if not armed and self.is_flying:
+            return False
+        self.armed = armed
+        return True
+
+    def take_off(self, height_m: float) -> bool:
+        """Climb to a height above home; refused (False) unless armed."""
+        if not self.armed:
+            return False
+        self._height_goal_m = height_m
+        return True
+
+    def land(self) -> None:
+        """Come down where it is; disarms on the ground."""
+        self._height_goal_m = 0.0
+
+    def step(self, dt: float) -> None:
+        """Advance by `dt` seconds."""
+        self._time_s += dt
+        drain = 1.0 if self.is_flying else _IDLE_DRAIN if self.armed else 0.0
+        self.battery_frac = max(0.0, self.battery_frac - drain * dt / (60 * self.config.battery_minutes))
+        self._lean_deg += (self._steady_lean() - self._lean_deg) * min(1.0, dt / _LEAN_LAG_S)
+        way = self._height_goal_m - self._height_m
+        self._climb_m_s = min(max(way / max(dt, 1e-9), -_DESCENT_M_S), _CLIMB_M_S)
+        was_flying = self.is_flying
+        self._height_m += self._climb_m_s * dt
+        if was_flying and not self.is_flying and self._height_goal_m <= 0:
+            self.armed = False
+
+    def true_yaw_deg(self) -> float:
+        """Heading at the moment (the part of `state` that the physics needs at every step)."""
+        if not self.is_flying:
+            return self.config.heading_deg
+        return self.config.heading_deg + self.config.heading_sway_deg * self._sway_yaw.at(self._time_s)
+
+    def state(self) -> AirframeState:
+        """The truth of the moment."""
+        t, c = self._time_s, self.config
+        flying = 1.0 if self.is_flying else 0.0
+        rough = flying * c.sway_deg * (1 + self.wind_m_s / 5)
+        yaw = self.true_yaw_deg()
+        towards = math.radians(c.wind_from_deg - yaw)
+        h = 0.02
+        hold = flying * c.hold_m * (1 + self.wind_m_s / 5)
+        north, east, up = (hold * drift.at(t) for drift in self._hold)
+        return AirframeState(
+            roll_deg=self._lean_deg * math.sin(towards) + rough * self._sway_roll.at(t),
+            pitch_deg=-self._lean_deg * math.cos(towards) + rough * self._sway_pitch.at(t),
+            yaw_deg=yaw,
+            roll_rate_deg_s=rough * (self._sway_roll.at(t + h) - self._sway_roll.at(t)) / h,
+            pitch_rate_deg_s=rough * (self._sway_pitch.at(t + h) - self._sway_pitch.at(t)) / h,
+            yaw_rate_deg_s=flying * c.heading_sway_deg * (self._sway_yaw.at(t + h) - self._sway_yaw.at(t)) / h,
+            north_m=north,
+            east_m=east,
+            up_m=self._height_m + 0.5 * up,
+        )
+
+    def position(self) -> Position:
+        """What the GPS says of the moment."""
+        t, c, state = self._time_s, self.config, self.state()
+        north, east, up = (c.gps_wander_m * drift.at(t) for drift in self._gps)
+        north, east, up = north + state.north_m, east + state.east_m, 1.5 * up + state.up_m
+        h = 0.1
+        velocity = [
+            (self.config.hold_m * (drift.at(t + h) - drift.at(t)) / h) if self.is_flying else 0.0 for drift in self._hold
+        ]
+        return Position(
+            latitude_deg=c.latitude_deg + north / _METRES_PER_DEG,
+            longitude_deg=c.longitude_deg + east / (_METRES_PER_DEG * math.cos(math.radians(c.latitude_deg))),
+            altitude_m=c.home_altitude_m + up,
+            relative_altitude_m=up,
+            velocity_m_s=(velocity[0], velocity[1], -self._climb_m_s),
+        )

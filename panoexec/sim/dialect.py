@@ -1,0 +1,23 @@
+"""The one place where pymavlink is imported: MAVLink 2 with ArduPilot's messages, chosen before the import.
+
+pymavlink reads `MAVLINK20` and `MAVLINK_DIALECT` when it is first imported; without them the gimbal messages of protocol
+version 2 (280 to 288) do not exist.
+"""
+
+from __future__ import annotations
+
+import os
+
+from panoexec.errors import DependencyError
+
+os.environ["MAVLINK20"] = "1"
+os.environ["MAVLINK_DIALECT"] = "ardupilotmega"
+
+try:
+    from pymavlink.dialects.v20 import ardupilotmega as mavlink
+except ImportError as error:
+    raise DependencyError(
+        "the simulated vehicle needs pymavlink and Pillow: install them with pip install 'panoexec[sim]'"
+    ) from error
+
+__all__ = ["mavlink"]
