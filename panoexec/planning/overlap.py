@@ -24,6 +24,9 @@ from panoexec.angles import FloatArray
 from panoexec.optics import Camera
 from panoexec.planning.footprint import edge_normals, rectangle
 
+_AT_A_TIME = 8192
+"""Pairs worked on together: bounds the memory and stays in the processor's cache."""
+
 
 def pairwise_overlap(
     camera_a: Camera, rotations_a: ArrayLike, rotations_b: ArrayLike, camera_b: Camera | None = None
@@ -41,8 +44,13 @@ def pairwise_overlap(
     """
     planes = half_planes(rotations_a, rotations_b, camera_b or camera_a)
     shape = planes.shape[:-2]
-    clipped = clip(_rectangles(camera_a, int(np.prod(shape))), planes.reshape(-1, 4, 3))
-    return np.minimum(polygon_area(clipped) / _rectangle_area(camera_a), 1.0).reshape(shape)
+    planes = planes.reshape(-1, 4, 3)
+    areas = [
+        polygon_area(clip_footprints(camera_a, planes[start : start + _AT_A_TIME]))
+        for start in range(0, len(planes), _AT_A_TIME)
+    ]
+    area = np.concatenate(areas) if areas else np.empty(0)
+    return np.minimum(area / _rectangle_area(camera_a), 1.0).reshape(shape)
 
 
 def clip_footprint(
@@ -59,8 +67,12 @@ def clip_footprint(
     Returns:
         (n, v, 2), v ≤ 8; see the module's text.
     """
-    planes = half_planes(rotations_a, rotations_b, camera_b or camera_a).reshape(-1, 4, 3)
-    return clip(_rectangles(camera_a, len(planes)), planes)
+    return clip_footprints(camera_a, half_planes(rotations_a, rotations_b, camera_b or camera_a).reshape(-1, 4, 3))
+
+
+def clip_footprints(camera: Camera, planes: FloatArray) -> FloatArray:
+    """Images cut with half-planes (n, k, 3) of their image planes: polygons (n, v, 2), v ≤ 4 + k."""
+    return clip(_rectangles(camera, len(planes)), planes)
 
 
 def union_overlap(
@@ -118,9 +130,15 @@ def clip(polygons: FloatArray, planes: FloatArray) -> FloatArray:
     for i in range(planes.shape[1]):
         distance = _distances(polygons, planes[:, i])
         inside = distance >= 0
-        if inside.all():
+        whole: NDArray[np.bool_] = np.logical_and.reduce(inside, axis=1)
+        if whole.all():
             continue
-        polygons = _cut(polygons, distance, inside)
+        partly: NDArray[np.bool_] = np.logical_or.reduce(inside, axis=1) & ~whole
+        if partly.all():
+            polygons = _cut(polygons, distance, inside)
+            continue
+        cut = _cut(polygons[partly], distance[partly], inside[partly])
+        polygons = _scatter(polygons, whole, partly, cut)
     return polygons
 
 
@@ -186,21 +204,35 @@ def polygon_area(polygons: FloatArray) -> FloatArray:
 def _cut(polygons: FloatArray, distance: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
     """Cut each polygon with the half-plane to which its corners have the given signed distances (n, v)."""
     n, v = distance.shape
-    crossing = inside != np.roll(inside, -1, axis=1)
-    span = distance - np.roll(distance, -1, axis=1)
+    following = np.arange(1 - v, 1)  # the index of the next corner, cyclic
+    crossing = inside != inside[:, following]
+    span = distance - distance[:, following]
     share = distance / np.where(crossing, span, 1.0)
+    emitted = np.empty((n, v, 2), dtype=bool)
+    emitted[:, :, 0] = inside
+    emitted[:, :, 1] = crossing
     candidates = np.empty((n, v, 2, 2))
     candidates[:, :, 0] = polygons
-    candidates[:, :, 1] = polygons + share[..., None] * (np.roll(polygons, -1, axis=1) - polygons)
-    emitted = np.stack([inside, crossing], axis=-1).reshape(n, 2 * v)
-    slot = np.cumsum(emitted, axis=1) - 1
+    candidates[:, :, 1] = polygons + share[..., None] * (polygons[:, following] - polygons)
+    slot = np.cumsum(emitted.reshape(n, 2 * v), axis=1) - 1
     counts = slot[:, -1] + 1
     width = max(int(counts.max(initial=0)), 1)
+    row, column = np.nonzero(emitted.reshape(n, 2 * v))
     out = np.full((n, width, 2), np.nan)
-    row, column = np.nonzero(emitted)
     out[row, slot[row, column]] = candidates.reshape(n, 2 * v, 2)[row, column]
     padding = np.arange(width) >= counts[:, None]
     return np.where(padding[..., None], out[:, :1], out)
+
+
+def _scatter(polygons: FloatArray, whole: NDArray[np.bool_], partly: NDArray[np.bool_], cut: FloatArray) -> FloatArray:
+    """The polygons (n, v, 2) where `whole`, the cut ones where `partly`, the others empty."""
+    n, v = polygons.shape[:2]
+    out = np.full((n, max(v, cut.shape[1]), 2), np.nan)
+    out[whole, :v] = polygons[whole]
+    out[whole, v:] = polygons[whole, :1]
+    out[partly, : cut.shape[1]] = cut
+    out[partly, cut.shape[1] :] = cut[:, :1]
+    return out
 
 
 def _distances(polygons: FloatArray, planes: FloatArray) -> FloatArray:
