@@ -151,3 +151,46 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> FloatArray:
     u, v = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     cross = np.linalg.norm(np.cross(u, v), axis=-1)
     return np.asarray(np.degrees(np.arctan2(cross, np.sum(u * v, axis=-1))))
+
+
+def rotation_321(yaw_deg: ArrayLike, pitch_deg: ArrayLike, roll_deg: ArrayLike) -> FloatArray:
+    """Camera-to-world rotations Rz(yaw) · Ry(pitch) · Rx(roll): the order of aircraft, XMP tags and Hugin.
+
+    Args:
+        yaw_deg: clockwise seen from above; any shape (...).
+        pitch_deg: positive up; broadcasts.
+        roll_deg: about the boresight, positive when the right of the image goes down; broadcasts.
+
+    Returns:
+        (..., 3, 3) orthonormal matrices.
+    """
+    yaw, pitch, roll = np.broadcast_arrays(
+        np.asarray(yaw_deg, np.float64), np.asarray(pitch_deg, np.float64), np.asarray(roll_deg, np.float64)
+    )
+    return np.asarray(_axis_rotation(2, yaw) @ _axis_rotation(1, pitch) @ _axis_rotation(0, roll))
+
+
+def yaw_pitch_roll_321(rotations: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Angles for `rotation_321` of camera-to-world rotations; its inverse, exact at nadir and zenith too.
+
+    Every rotation has two such triples, (y, p, r) and (y + 180, 180 - p, r + 180). The one whose yaw is nearer to the
+    gimbal's (3-1-2) is returned, so a camera that is turned a little beyond the nadir has a pitch a little below -90,
+    not an image upside down. At the nadir itself, where only yaw + roll is determined, yaw is the gimbal's and roll is
+    computed from it, never the two from noise independently.
+
+    Args:
+        rotations: (..., 3, 3).
+
+    Returns:
+        yaw in [-180, 180), pitch in [-180, 180), roll in [-180, 180), degrees, each (...).
+    """
+    m = np.asarray(rotations, dtype=np.float64)
+    gimbal_yaw = np.radians(yaw_pitch_roll(m)[0])
+    level = np.hypot(m[..., 0, 0], m[..., 1, 0])
+    yaw = np.where(level > 1e-9, np.arctan2(m[..., 1, 0], m[..., 0, 0]), gimbal_yaw)
+    yaw = np.where(np.cos(yaw - gimbal_yaw) < 0, yaw + np.pi, yaw)
+    # Rz(-yaw) · R = Ry(pitch) · Rx(roll): its first column is (cp, 0, -sp), its second row (0, cr, -sr)
+    c, s = np.cos(yaw), np.sin(yaw)
+    pitch = np.arctan2(-m[..., 2, 0], c * m[..., 0, 0] + s * m[..., 1, 0])
+    roll = np.arctan2(s * m[..., 0, 2] - c * m[..., 1, 2], c * m[..., 1, 1] - s * m[..., 0, 1])
+    return wrap_180(np.degrees(yaw)), wrap_180(np.degrees(pitch)), wrap_180(np.degrees(roll))
