@@ -1,0 +1,49 @@
+"""What the executor asks of its surroundings besides the devices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+from panoexec.angles import FloatArray
+from panoexec.devices import CaptureEvidence
+from panoexec.events import Event
+from panoexec.planning.model import Certificate, Shot
+
+
+class Journal(Protocol):
+    """Keeps events for good."""
+
+    async def append(self, events: Sequence[Event]) -> None:
+        """Return when all of them are on disk, in this order, or raise and keep none.
+
+        Raises:
+            MissionError: the journal cannot be written.
+        """
+        ...
+
+
+class Verifier(Protocol):
+    """The certificate of a panorama as flown; heavy work, done beside the event loop."""
+
+    async def certify(self, rotations: FloatArray, rows: Sequence[int]) -> Certificate:
+        """The verdict on measured attitudes.
+
+        Args:
+            rotations: camera to plan frame (n, 3, 3), one an accepted shot.
+            rows: the row of each.
+        """
+        ...
+
+    async def patch(self, rotations: FloatArray, rows: Sequence[int]) -> Sequence[Shot]:
+        """Shots that would close the holes that these leave; empty if there are none, or no shot can."""
+        ...
+
+
+@runtime_checkable
+class PhotoMemory(Protocol):
+    """A camera that remembers what it took: settles a photo that was in flight when the process died."""
+
+    async def taken_after(self, image_index: int) -> CaptureEvidence | None:
+        """Proof of a photo newer than the one with this index (-1: than none); None if there is none."""
+        ...

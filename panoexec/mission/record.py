@@ -1,0 +1,288 @@
+"""What is known of a mission: a fold over its events, the same while flying and after a restart."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import numpy as np
+
+from panoexec import events as ev
+from panoexec.angles import FloatArray, rotation_from_quaternion
+from panoexec.devices import EvidenceLevel
+from panoexec.planning.model import Shot
+from panoexec.states import ENDED, MissionState, check_transition
+
+
+class ShotStatus(StrEnum):
+    """Where a shot stands; a shot is always in exactly one of these."""
+
+    TODO = "todo"
+    """Not tried, or to be tried again."""
+    ACTIVE = "active"
+    """An attempt is on its way to its photo."""
+    EXPOSED = "exposed"
+    """Photo taken and pointing proven; evidence is awaited."""
+    ACCEPTED = "accepted"
+    DEFERRED = "deferred"
+    """Comes again after the others."""
+    SKIPPED = "skipped"
+    """Left out by decision."""
+    MISSED = "missed"
+    """All attempts used up."""
+
+
+class Verdict(StrEnum):
+    """How an attempt ended, or where it is."""
+
+    OPEN = "open"
+    ACCEPTED = "accepted"
+    REJECTED = "rejected"
+    INTERRUPTED = "interrupted"
+
+
+@dataclass(slots=True, kw_only=True)
+class AttemptRecord:
+    """One attempt at a shot; grows while events come in."""
+
+    number: int
+    round: int
+    pitch_deg: float
+    yaw_deg: float
+    started_utc_s: float
+    verdict: Verdict = Verdict.OPEN
+    by: str = ""
+    code: str = ""
+    reason: str = ""
+    exposed: ev.ShotExposed | None = None
+    photos: tuple[ev.Photo, ...] = ()
+
+    @property
+    def evidence(self) -> EvidenceLevel | None:
+        """The weakest evidence among its photos; None without a photo."""
+        return min((photo.evidence for photo in self.photos), default=None)
+
+
+@dataclass(slots=True, kw_only=True)
+class ShotRecord:
+    """One shot and all attempts at it."""
+
+    shot: Shot
+    status: ShotStatus = ShotStatus.TODO
+    reason: str = ""
+    attempts: list[AttemptRecord] = field(default_factory=list)
+    patch: bool = False
+
+    @property
+    def accepted(self) -> AttemptRecord | None:
+        """The attempt that counts: the last accepted one."""
+        return next((a for a in reversed(self.attempts) if a.verdict is Verdict.ACCEPTED), None)
+
+    @property
+    def open_attempt(self) -> AttemptRecord | None:
+        """The attempt without a verdict, if there is one."""
+        return next((a for a in reversed(self.attempts) if a.verdict is Verdict.OPEN), None)
+
+
+class MissionRecord:
+    """The state of a mission as its events tell it.
+
+    Applying an event that contradicts the ones before is an error of the program (or a damaged journal), never ignored:
+    an illegal transition, a verdict on an attempt that never began, a second verdict on one.
+    """
+
+    def __init__(self, *, mission_id: str, shots: Sequence[Shot]) -> None:
+        self.mission_id = mission_id
+        self.shots: dict[int, ShotRecord] = {shot.index: ShotRecord(shot=shot) for shot in shots}
+        self.state = MissionState.IDLE
+        self.reason = ""
+        self.seq = 0
+        self.reference = "north"
+        self.reference_yaw_north_deg = math.nan
+        self.origin: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+        """Latitude, longitude, altitude above sea level where the mission began, or went on after a restart."""
+        self.started_utc_s = math.nan
+        self.finished_utc_s = math.nan
+        self.restarts = 0
+        self.retakes = 0
+        self.current: int | None = None
+        self.gimbal_held = False
+        self.open_loop = False
+        self.certified: bool | None = None
+        self.warnings: list[str] = []
+        self.patch_rounds = 0
+
+    @classmethod
+    def from_events(cls, *, mission_id: str, shots: Sequence[Shot], events: Iterable[ev.Event]) -> MissionRecord:
+        """The record that these events lead to."""
+        record = cls(mission_id=mission_id, shots=shots)
+        for event in events:
+            record.apply(event)
+        return record
+
+    def apply(self, event: ev.Event) -> None:  # noqa: C901  (one case a kind of event)
+        """Take the next event.
+
+        Raises:
+            MissionError: it contradicts what came before.
+            ValueError: likewise.
+        """
+        if event.seq != self.seq + 1:
+            raise ValueError(f"event {event.seq} after {self.seq}: one is missing or came twice")
+        if isinstance(event, ev.MissionStarted):
+            self.state = MissionState.IDLE  # a new process: whatever the last one was doing ended with it
+        if event.state is not self.state:
+            check_transition(self.state, event.state)
+            self.state = event.state
+            self.reason = ""
+        self.seq = event.seq
+        match event:
+            case ev.MissionStarted():
+                self._start(event)
+            case ev.MissionPaused() | ev.MissionFinishing():
+                self.reason = event.reason
+            case ev.MissionFinished():
+                self.reason = event.reason
+                self.finished_utc_s = event.time_utc_s
+                self.certified = event.certified
+                self.current = None
+            case ev.GimbalAcquired():
+                self.gimbal_held = True
+            case ev.GimbalReleased():
+                self.gimbal_held = False
+            case ev.Warned():
+                self.warnings.append(event.text)
+            case ev.PatchPlanned():
+                self._patch(event)
+            case ev.ShotEvent():
+                self._apply_shot(event)
+            case _:
+                pass
+
+    def _start(self, event: ev.MissionStarted) -> None:
+        if not math.isnan(event.latitude_deg):
+            self.origin = (event.latitude_deg, event.longitude_deg, event.altitude_m)
+        if event.resumed:
+            self.restarts += 1
+            return
+        self.reference = event.reference
+        self.reference_yaw_north_deg = event.reference_yaw_north_deg
+        self.started_utc_s = event.time_utc_s
+
+    def _patch(self, event: ev.PatchPlanned) -> None:
+        self.patch_rounds += 1
+        row = max((r.shot.row for r in self.shots.values()), default=-1) + 1
+        for index, pitch, yaw in zip(event.shots, event.pitch_deg, event.yaw_deg, strict=True):
+            shot = Shot(index=index, row=row, pitch_deg=pitch, yaw_deg=yaw)
+            self.shots[index] = ShotRecord(shot=shot, patch=True)
+
+    def _apply_shot(self, event: ev.ShotEvent) -> None:
+        record = self.shots[event.shot]
+        match event:
+            case ev.ShotStarted():
+                if record.open_attempt is not None or event.attempt != len(record.attempts) + 1:
+                    raise ValueError(f"shot {event.shot}: attempt {event.attempt} cannot begin now")
+                record.attempts.append(
+                    AttemptRecord(
+                        number=event.attempt,
+                        round=event.round,
+                        pitch_deg=event.pitch_deg,
+                        yaw_deg=event.yaw_deg,
+                        started_utc_s=event.time_utc_s,
+                    )
+                )
+                record.status = ShotStatus.ACTIVE
+                self.current = event.shot
+            case ev.ShotExposed():
+                attempt = self._open(event)
+                attempt.exposed, attempt.photos = event, event.photos
+                self.open_loop |= event.open_loop
+                record.status = ShotStatus.EXPOSED
+            case ev.ShotAccepted():
+                attempt = self._open(event)
+                if attempt.exposed is None:
+                    raise ValueError(f"shot {event.shot}: attempt {event.attempt} accepted without an exposure")
+                attempt.verdict, attempt.by, attempt.photos = Verdict.ACCEPTED, event.by, event.photos
+                record.status, record.reason = ShotStatus.ACCEPTED, ""
+            case ev.ShotRejected():
+                attempt = self._open(event)
+                attempt.verdict, attempt.code, attempt.reason = Verdict.REJECTED, event.code, event.reason
+                attempt.photos = event.photos or attempt.photos
+                record.status, record.reason = ShotStatus.TODO, event.reason
+            case ev.ShotInterrupted():
+                attempt = self._open(event)
+                attempt.verdict, attempt.reason = Verdict.INTERRUPTED, event.reason
+                record.status = ShotStatus.TODO
+            case _:
+                self._apply_decision(event, record)
+
+    def _apply_decision(self, event: ev.ShotEvent, record: ShotRecord) -> None:
+        match event:
+            case ev.ShotRetaken():
+                self.retakes += 1
+            case ev.ShotDeferred():
+                self.retakes += 1
+                record.status, record.reason = ShotStatus.DEFERRED, event.reason
+            case ev.ShotMissed() | ev.ShotSkipped():
+                ended = ShotStatus.MISSED if isinstance(event, ev.ShotMissed) else ShotStatus.SKIPPED
+                # a repeat that came to nothing leaves the earlier photo in force
+                record.status = ended if record.accepted is None else ShotStatus.ACCEPTED
+                record.reason = event.reason
+            case ev.PhotoIdentified():
+                attempt = record.attempts[event.attempt - 1]
+                attempt.photos = event.photos
+            case _:
+                raise ValueError(f"no rule for {event.type}")
+
+    def _open(self, event: ev.ShotEvent) -> AttemptRecord:
+        attempts = self.shots[event.shot].attempts
+        if not 1 <= event.attempt <= len(attempts) or attempts[event.attempt - 1].verdict is not Verdict.OPEN:
+            raise ValueError(f"shot {event.shot}: {event.type} for attempt {event.attempt}, which is not open")
+        return attempts[event.attempt - 1]
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing happens any more in this process."""
+        return self.state in ENDED
+
+    @property
+    def shots_total(self) -> int:
+        """Shots of the plan and patches."""
+        return len(self.shots)
+
+    @property
+    def shots_done(self) -> int:
+        """Shots with an accepted photo."""
+        return sum(1 for r in self.shots.values() if r.accepted is not None)
+
+    @property
+    def attempts(self) -> int:
+        """Attempts begun, of all shots."""
+        return sum(len(r.attempts) for r in self.shots.values())
+
+    def missing(self) -> tuple[int, ...]:
+        """Indices of shots without an accepted photo, in shooting order."""
+        return tuple(index for index, r in sorted(self.shots.items()) if r.accepted is None)
+
+    def measured(self, *, also: Sequence[tuple[int, ev.MeasuredPose]] = ()) -> tuple[FloatArray, list[int]]:
+        """Measured attitudes of the accepted shots (n, 3, 3), camera to plan frame, and the row of each.
+
+        Args:
+            also: shots to be taken as accepted with the pose given.
+        """
+        poses: dict[int, ev.MeasuredPose] = {}
+        for index, shot in sorted(self.shots.items()):
+            attempt = shot.accepted
+            if attempt is not None and attempt.exposed is not None and attempt.exposed.measured is not None:
+                poses[index] = attempt.exposed.measured
+        poses |= dict(also)
+        q = np.array([poses[index].q_wxyz for index in sorted(poses)], dtype=np.float64).reshape(-1, 4)
+        rows = [self.shots[index].shot.row for index in sorted(poses)]
+        return (rotation_from_quaternion(q) if rows else np.empty((0, 3, 3))), rows
+
+    def renumbered(self, shots: Sequence[Shot]) -> list[Shot]:
+        """The shots with indices that follow the last one of the mission."""
+        first = max(self.shots, default=-1) + 1
+        return [replace(shot, index=first + i) for i, shot in enumerate(shots)]

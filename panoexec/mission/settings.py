@@ -1,0 +1,121 @@
+"""How a mission is flown: every number that the executor decides by, with its unit and its default."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Literal, TypeAlias
+
+from panoexec.devices import EvidenceLevel
+from panoexec.errors import UsageError
+from panoexec.planning.model import GimbalLimits, Tolerance
+
+AcceptBy: TypeAlias = Literal["tolerance", "overlap"]
+Feedback: TypeAlias = Literal["auto", "none"]
+Reclaim: TypeAlias = Literal["ask", "never"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GuardSettings:
+    """When a flight holds or ends by itself.
+
+    Attributes:
+        battery_floor_frac: no shot below this charge, 0 to 1; 0 switches the guard off.
+        position_drift_m: how far from where the mission began (parallax), metres; infinity switches it off.
+        position_back_frac: it goes on when back within this fraction of that distance.
+        allowed_modes: flight modes (as the adapter names them) in which the mission may use the gimbal; empty = all.
+        attitude_silence_s: how long the gimbal may be silent.
+        clear_s: how long a cause must be gone before the mission goes on by itself.
+        position_hold: whether preflight asks for a good position and a vehicle in the air.
+        reclaim: what to do when another component takes the gimbal: ask for it back, or wait for the pilot.
+        reclaim_after_s: how long to leave it to the other one before asking.
+    """
+
+    battery_floor_frac: float = 0.25
+    position_drift_m: float = 1.5
+    position_back_frac: float = 0.7
+    allowed_modes: tuple[str, ...] = ()
+    attitude_silence_s: float = 1.0
+    clear_s: float = 1.0
+    position_hold: bool = True
+    reclaim: Reclaim = "ask"
+    reclaim_after_s: float = 2.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissionSettings:
+    """Everything that a mission decides by.
+
+    Attributes:
+        tolerance: largest accepted pointing error of each gimbal axis.
+        settle_s: how long it must have been inside tolerance before the photo.
+        max_rate_deg_s: largest angular speed that counts as settled.
+        max_gap_s: longest silence of the attitude stream that still proves a pose.
+        patience_s: how long settling may take beyond the expected slew; doubles with each round.
+        attempts: photos or settle time-outs of a shot, one after the other, before it is put off.
+        rounds: passes over the shots, the first included.
+        exposure_s: the longest exposure.
+        latency_s: bound on the time from the trigger command to the opening of the shutter.
+        interval_s: least time between two triggers.
+        brackets: photos of each pose.
+        min_evidence: what a photo must be proven by.
+        evidence_s: how long to wait for that proof, from the trigger.
+        pending: photos whose evidence may be outstanding when the next trigger goes out.
+        accept: `tolerance`: every sample inside tolerance; `overlap`: or the certificate holds as measured.
+        patches: rounds of patch shots for real holes at the end; 0 = none.
+        feedback: `auto`: judge by the attitude stream; `none`: there is none, poses are believed after the slew time.
+        gimbal: limits, rates and accelerations; limits that the gimbal states itself come first.
+        guards: see `GuardSettings`.
+        max_pause_s: a pause longer than this ends the mission (as failed: it can be resumed).
+        device_tries: how often a refused pointing command is repeated at once.
+        release_s: how long giving the gimbal back may take at the end.
+    """
+
+    tolerance: Tolerance
+    settle_s: float = 0.3
+    max_rate_deg_s: float = 2.0
+    max_gap_s: float = 0.1
+    patience_s: float = 4.0
+    attempts: int = 3
+    rounds: int = 3
+    exposure_s: float = 0.02
+    latency_s: float = 0.15
+    interval_s: float = 1.0
+    brackets: int = 1
+    min_evidence: EvidenceLevel = EvidenceLevel.COUNTED
+    evidence_s: float = 3.0
+    pending: int = 1
+    accept: AcceptBy = "tolerance"
+    patches: int = 1
+    feedback: Feedback = "auto"
+    gimbal: GimbalLimits = field(default_factory=GimbalLimits)
+    guards: GuardSettings = field(default_factory=GuardSettings)
+    max_pause_s: float = 600.0
+    device_tries: int = 3
+    release_s: float = 4.0
+
+    def __post_init__(self) -> None:
+        """Refuse what no mission could be flown with.
+
+        Raises:
+            UsageError: naming the setting, the value and what would be accepted.
+        """
+        positive = ("max_rate_deg_s", "max_gap_s", "patience_s", "evidence_s", "max_pause_s", "release_s")
+        not_negative = ("settle_s", "exposure_s", "latency_s", "interval_s", "patches")
+        at_least_one = ("attempts", "rounds", "brackets", "pending", "device_tries")
+        for bound, text, names in (
+            (1e-9, "more than 0", positive),
+            (0, "0 or more", not_negative),
+            (1, "1 or more", at_least_one),
+        ):
+            for name in names:
+                if not getattr(self, name) >= bound:
+                    raise UsageError(f"{name} = {getattr(self, name)!r}: must be {text}")
+        for axis in fields(Tolerance):
+            value = getattr(self.tolerance, axis.name)
+            if not value > 0:
+                raise UsageError(f"tolerance {axis.name} = {value!r}: must be more than 0, no gimbal is perfect")
+
+    @property
+    def exposure_bound_s(self) -> float:
+        """From the trigger command on the wire to the latest end of the exposure."""
+        return self.latency_s + self.exposure_s
