@@ -109,7 +109,6 @@ def _exif(metadata: PhotoMetadata, yaw_deg: float, shape: tuple[int, ...]) -> PI
         {
             base.ExifVersion: b"0232",
             base.FlashPixVersion: b"0100",
-            base.ComponentsConfiguration: b"\x01\x02\x03\x00",
             base.ExposureTime: _rational(metadata.exposure_s, 1_000_000),
             base.FNumber: _rational(5.6, 10),
             base.ISOSpeedRatings: 100,
