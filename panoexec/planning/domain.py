@@ -1,0 +1,309 @@
+"""What has to be covered: a band or sector of the sphere less its masks, as cells of a grid in elevation and azimuth.
+
+The limits of the band and of the masks cut the sphere into cells; each is wholly inside or outside the domain, and
+the domain is the union of the closed inside cells (so two masks that touch leave no slit between them). Limits closer
+to each other than 1e-9° count as one.
+
+A border arc of an image needs no cover where it runs outside the domain. The outside is described by the *largest
+boxes* of outside cells: every point in the interior of the outside lies in the interior of one of them, because a small
+box around the point can be grown until it is stopped on all sides. So the open boxes together are the outside, exactly.
+For safety against rounding each box is taken 1e-12 rad smaller than it is: the domain can only grow by that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from panoexec.angles import FloatArray, direction, elevation_azimuth
+from panoexec.errors import PlanningError
+from panoexec.planning.model import AngleBox, Band
+
+_SAME_DEG = 1e-9
+_SHRINK_RAD = 1e-12
+_NOTHING = (2.0, -1.0)
+"""An empty interval of [0, 1]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Border:
+    """A piece of a domain's border.
+
+    A parallel (`from_deg`, `to_deg` are azimuths, `at_deg` an elevation) or a meridian (elevations, an azimuth).
+    `inner` is +1 where the domain lies above a parallel or clockwise of a meridian, -1 on the other side.
+    """
+
+    is_parallel: bool
+    at_deg: float
+    from_deg: float
+    to_deg: float
+    inner: int
+
+    def points(self, along_deg: ArrayLike) -> FloatArray:
+        """Directions (..., 3) at azimuths along a parallel or elevations along a meridian."""
+        return direction(self.at_deg, along_deg) if self.is_parallel else direction(along_deg, self.at_deg)
+
+
+@dataclass(frozen=True, slots=True)
+class Domain:
+    """See the module's text.
+
+    Attributes:
+        elevations_deg: (a + 1,) limits of the cells from the nadir to the zenith.
+        azimuths_deg: (b + 1,) limits of the cells, clockwise over one full turn.
+        inside: (a, b) whether the cell between limits i and i + 1, j and j + 1 belongs to the domain.
+    """
+
+    elevations_deg: FloatArray
+    azimuths_deg: FloatArray
+    inside: NDArray[np.bool_]
+
+    @staticmethod
+    def of(band: Band, masks: tuple[AngleBox, ...] = ()) -> Domain:
+        """The band less the masks.
+
+        Raises:
+            PlanningError: the band has no extent.
+        """
+        low, high = max(band.elevation_min_deg, -90.0), min(band.elevation_max_deg, 90.0)
+        if not low < high:
+            raise PlanningError(
+                f"the band from elevation {band.elevation_min_deg:g} to {band.elevation_max_deg:g} has no height; "
+                "the minimum must be below the maximum, within -90 to 90"
+            )
+        if not band.azimuth_span_deg > 0:
+            raise PlanningError(
+                f"the sector from azimuth {band.azimuth_min_deg:g} to {band.azimuth_max_deg:g} has no width; "
+                "the maximum must be above the minimum (170 to 190 is a sector around the back)"
+            )
+        start = band.azimuth_min_deg
+        span = band.azimuth_span_deg if band.azimuth_span_deg < 360.0 - _SAME_DEG else 360.0
+        boxes = [(m.elevation_min_deg, m.elevation_max_deg, *_turned(m, start)) for m in masks]
+        elevations = _limits([-90.0, low, high, 90.0], [e for box in boxes for e in box[:2]], 90.0)
+        azimuths = _limits([0.0, span, 360.0], [a for box in boxes for a in (box[2], box[3], box[3] - 360)], 360.0)
+        middle_e = (elevations[:-1] + elevations[1:])[:, None] / 2
+        middle_a = (azimuths[:-1] + azimuths[1:])[None] / 2
+        inside = (middle_e > low) & (middle_e < high) & (middle_a < span)
+        for e_min, e_max, a_min, a_max in boxes:
+            in_azimuth = ((middle_a > a_min) & (middle_a < a_max)) | (middle_a < a_max - 360)
+            inside &= ~((middle_e > e_min) & (middle_e < e_max) & in_azimuth)
+        return Domain(elevations, azimuths + start, inside)
+
+    @property
+    def solid_angle_sr(self) -> float:
+        """Solid angle of all inside cells."""
+        height = np.diff(np.sin(np.radians(self.elevations_deg)))
+        width = np.radians(np.diff(self.azimuths_deg))
+        return float(height @ self.inside @ width)
+
+    def cell_centres(self) -> FloatArray:
+        """A direction in each inside cell (every connected part of the domain has one), (k, 3)."""
+        i, j = np.nonzero(self.inside)
+        elevation = (self.elevations_deg[i] + self.elevations_deg[i + 1]) / 2
+        return direction(elevation, (self.azimuths_deg[j] + self.azimuths_deg[j + 1]) / 2)
+
+    def contains(self, directions: ArrayLike) -> NDArray[np.bool_]:
+        """Whether world directions (..., 3) lie in the domain; on a cell's very border either answer may come."""
+        elevation, azimuth = elevation_azimuth(directions)
+        i = np.searchsorted(self.elevations_deg, elevation, side="right") - 1
+        j = np.searchsorted(self.azimuths_deg, self.azimuths_deg[0] + (azimuth - self.azimuths_deg[0]) % 360.0, "right")
+        rows, columns = self.inside.shape
+        return np.asarray(self.inside[np.clip(i, 0, rows - 1), np.clip(j - 1, 0, columns - 1)])
+
+    def borders(self) -> Iterator[Border]:
+        """The pieces between an inside and an outside cell, and the poles where the domain reaches them.
+
+        A pole counts as a parallel of no length: it closes the domain as seen in elevation and azimuth.
+        """
+        columns = self.inside.shape[1]
+        padded = np.pad(self.inside, ((1, 1), (0, 0)))
+        above_less_below = padded[1:].astype(int) - padded[:-1].astype(int)
+        for i, elevation in enumerate(self.elevations_deg):
+            for first, last, side in _runs(above_less_below[i]):
+                yield Border(
+                    is_parallel=True,
+                    at_deg=float(elevation),
+                    from_deg=float(self.azimuths_deg[first]),
+                    to_deg=float(self.azimuths_deg[last]),
+                    inner=side,
+                )
+        for j in range(columns):
+            step = self.inside[:, j].astype(int) - self.inside[:, j - 1].astype(int)
+            for first, last, side in _runs(step):
+                yield Border(
+                    is_parallel=False,
+                    at_deg=float(self.azimuths_deg[j]),
+                    from_deg=float(self.elevations_deg[first]),
+                    to_deg=float(self.elevations_deg[last]),
+                    inner=side,
+                )
+
+    def outside_intervals(self, starts: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Where arcs of great circles run outside the domain.
+
+        Args:
+            starts: unit vectors (m, 3).
+            ends: likewise, less than half a turn from their start.
+
+        Returns:
+            Lower and upper limits (m, k) of open intervals of the chord parameter s in [0, 1], where the arc's points
+            are the directions of (1 - s)·start + s·end; an empty interval has its lower limit above its upper one.
+        """
+        lower, upper = [np.empty((len(starts), 0))], [np.empty((len(starts), 0))]
+        for box in _largest_boxes(self.elevations_deg, self.azimuths_deg, ~self.inside):
+            low, high = _box_intervals(box, starts, ends)
+            lower.append(low)
+            upper.append(high)
+        return np.concatenate(lower, axis=1), np.concatenate(upper, axis=1)
+
+
+def _turned(mask: AngleBox, start_deg: float) -> tuple[float, float]:
+    """A mask's azimuths counted from the sector's start: from [0, 360) to up to one turn more."""
+    width = mask.azimuth_max_deg - mask.azimuth_min_deg
+    width = width % 360.0 if width < 0 else min(width, 360.0)
+    begin = (mask.azimuth_min_deg - start_deg) % 360.0
+    return begin, begin + width
+
+
+def _limits(fixed: list[float], others: list[float], extent: float) -> FloatArray:
+    """Sorted limits within ± extent (or 0 to extent, as `fixed` begins), those that agree taken once."""
+    kept = sorted(set(fixed))
+    for value in sorted(others):
+        if kept[0] < value < extent and min(abs(value - k) for k in kept) > _SAME_DEG:
+            kept.append(value)
+    return np.array(sorted(kept))
+
+
+def _runs(values: NDArray[np.int_]) -> list[tuple[int, int, int]]:
+    """Stretches (first, one past last, value) of equal values other than 0."""
+    changes = [0, *(np.nonzero(np.diff(values))[0] + 1).tolist(), len(values)]
+    return [(a, b, int(values[a])) for a, b in pairwise(changes) if values[a]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Box:
+    """Limits in degrees; None where the box reaches a pole or goes all round."""
+
+    low_deg: float | None
+    high_deg: float | None
+    azimuths_deg: tuple[float, float] | None
+
+
+def _largest_boxes(elevations: FloatArray, azimuths: FloatArray, chosen: NDArray[np.bool_]) -> Iterator[_Box]:
+    """All boxes of chosen cells that cannot be grown; those wider than half a turn as two that overlap."""
+    rows, columns = chosen.shape
+    for first in range(rows):
+        for last in range(first, rows):
+            free = np.asarray(chosen[first : last + 1].all(axis=0))
+            for start, length in _cyclic_runs(free):
+                span = (start + np.arange(length)) % columns
+                below = first > 0 and bool(chosen[first - 1, span].all())
+                above = last + 1 < rows and bool(chosen[last + 1, span].all())
+                if below or above:
+                    continue
+                low = None if first == 0 else float(elevations[first])
+                high = None if last + 1 == rows else float(elevations[last + 1])
+                if length == columns:
+                    yield _Box(low_deg=low, high_deg=high, azimuths_deg=None)
+                    continue
+                begin = float(azimuths[start])
+                width = float(azimuths[(start + length) % columns] - begin) % 360.0
+                yield _Box(low_deg=low, high_deg=high, azimuths_deg=(begin, begin + min(width, 180.0)))
+                if width > 180.0:
+                    yield _Box(low_deg=low, high_deg=high, azimuths_deg=(begin + width - 180.0, begin + width))
+
+
+def _cyclic_runs(values: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Stretches (start, length) of True, cyclic."""
+    n = len(values)
+    if values.all():
+        return [(0, n)]
+    starts = [k for k in range(n) if values[k] and not values[k - 1]]
+    return [(k, next(i for i in range(1, n + 1) if not values[(k + i) % n])) for k in starts]
+
+
+def _box_intervals(box: _Box, starts: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The intervals (m, ≤ 3) of arcs inside an open box, slightly shrunk; see `Domain.outside_intervals`."""
+    low, high = np.zeros(len(starts)), np.ones(len(starts))
+    if box.azimuths_deg is not None:
+        begin, end = (math.radians(a) for a in box.azimuths_deg)
+        for normal in ((-math.sin(begin), math.cos(begin), 0.0), (math.sin(end), -math.cos(end), 0.0)):
+            a, b = (points @ np.array(normal) - _SHRINK_RAD for points in (starts, ends))
+            below, above = _positive(a, b)
+            low, high = np.maximum(low, below), np.minimum(high, above)
+    holes = []
+    for limit, sign in ((box.low_deg, 1.0), (box.high_deg, -1.0)):
+        if limit is None:
+            continue
+        # being above `limit` is being in a cap about the zenith, or, below the horizon, out of one about the nadir
+        inward = sign * math.radians(limit) + _SHRINK_RAD
+        below, above = _cap(starts, ends, -sign * math.copysign(1.0, inward), abs(inward))
+        if inward >= 0:
+            low, high = np.maximum(low, below), np.minimum(high, above)
+        else:
+            holes.append((below, above))
+    return _without(low, high, holes)
+
+
+def _without(
+    low: FloatArray, high: FloatArray, holes: list[tuple[FloatArray, FloatArray]]
+) -> tuple[FloatArray, FloatArray]:
+    """Intervals [low, high] less up to two closed intervals each: (m, 1 + number of holes)."""
+    pieces = [(low, high)]
+    for hole_low, hole_high in holes:
+        gone = hole_low > hole_high
+        cut_low, cut_high = np.where(gone, 2.0, hole_low), np.where(gone, 2.0, hole_high)
+        pieces = [
+            part
+            for a, b in pieces
+            for part in ((a, np.minimum(b, cut_low)), (np.where(gone, 2.0, np.maximum(a, cut_high)), b))
+        ]
+    return np.stack([a for a, _ in pieces], axis=1), np.stack([b for _, b in pieces], axis=1)
+
+
+def _positive(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The interval of s in [0, 1] where (1 - s)·a + s·b ≥ 0."""
+    span = np.where(a == b, 1.0, a - b)
+    zero = a / span
+    low = np.where(a >= 0, 0.0, np.where(b >= 0, zero, _NOTHING[0]))
+    high = np.where(b >= 0, 1.0, np.where(a >= 0, zero, _NOTHING[1]))
+    return low, high
+
+
+def _cap(starts: FloatArray, ends: FloatArray, axis_down: float, elevation_rad: float) -> tuple[FloatArray, FloatArray]:
+    """The interval of each arc's parameter inside a cap of at most a hemisphere about a pole.
+
+    Args:
+        starts: (m, 3).
+        ends: (m, 3).
+        axis_down: +1 for a cap about the nadir, -1 about the zenith.
+        elevation_rad: [0, π/2], the cap's border above the horizon as seen from its pole.
+    """
+    cos_length = np.sum(starts * ends, axis=1)
+    sideways = ends - cos_length[:, None] * starts
+    sin_length = np.linalg.norm(sideways, axis=1)
+    length = np.arctan2(sin_length, cos_length)
+    height_0 = axis_down * starts[:, 2]
+    height_1 = axis_down * sideways[:, 2] / np.maximum(sin_length, 1e-300)
+    top = np.hypot(height_0, height_1)
+    sine = math.sin(min(elevation_rad, math.pi / 2))
+    half = np.arccos(np.clip(sine / np.maximum(top, 1e-300), -1.0, 1.0))
+    # the highest point of the great circle, in the turn that is nearest the arc's middle: the cap is convex and the arc
+    # shorter than half a turn, so no other turn of it can meet the arc
+    peak = np.arctan2(height_1, height_0)
+    peak = length / 2 + (peak - length / 2 + math.pi) % (2 * math.pi) - math.pi
+    missed = (top < sine) | (elevation_rad > math.pi / 2)
+    low, high = np.clip(peak - half, 0.0, length), np.clip(peak + half, 0.0, length)
+    missed |= (peak - half > length) | (peak + half < 0)
+    return np.where(missed, _NOTHING[0], _chord(low, length)), np.where(missed, _NOTHING[1], _chord(high, length))
+
+
+def _chord(along: FloatArray, length: FloatArray) -> FloatArray:
+    """The chord parameter of the point at an angle along an arc of an angular length, both radians."""
+    total = np.sin(along) + np.sin(length - along)
+    return np.where(total > 0, np.sin(along) / np.where(total > 0, total, 1.0), 0.5)
