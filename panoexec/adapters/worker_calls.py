@@ -1,0 +1,83 @@
+"""Blocking calls in threads that nobody has to wait for.
+
+MAVSDK's commands block until they are answered or time out (2.0 s on a dead link, measured), outlive a cancelled
+`await`, and block for ever when the `Mavsdk` instance is destroyed under them (measured). The event loop's own executor
+would then hang at shutdown, as its threads are joined. So: daemon threads, and a `drain` to let calls end before
+anything is destroyed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import queue
+import threading
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+_Job = tuple[Callable[[], Any], asyncio.AbstractEventLoop, "asyncio.Future[Any]"]
+
+
+class WorkerCalls:
+    """A few daemon threads that run blocking calls for one event loop."""
+
+    def __init__(self, name: str, threads: int = 4) -> None:
+        """Args: name of the threads, for humans; how many calls can block at once."""
+        self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
+        self._busy = 0
+        self._idle = asyncio.Event()
+        self._idle.set()
+        self._threads = [
+            threading.Thread(target=self._work, name=f"{name}-{number}", daemon=True) for number in range(threads)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    async def run(self, call: Callable[[], T]) -> T:
+        """Run `call` in a thread and return its result; a cancelled `await` leaves the call running to its end."""
+        loop = asyncio.get_running_loop()
+        future: asyncio.Future[T] = loop.create_future()
+        self._busy += 1
+        self._idle.clear()
+        self._jobs.put((call, loop, future))
+        return await future
+
+    async def drain(self, timeout_s: float) -> bool:
+        """Wait until no call runs, at most `timeout_s` (real seconds); False if some still do."""
+        try:
+            async with asyncio.timeout(timeout_s):
+                await self._idle.wait()
+        except TimeoutError:
+            return False
+        return True
+
+    def stop(self) -> None:
+        """Let the threads end when they have nothing more to do; never waits."""
+        for _ in self._threads:
+            self._jobs.put(None)
+
+    def _work(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            call, loop, future = job
+            result, error = None, None
+            try:
+                result = call()
+            except Exception as caught:  # noqa: BLE001 - handed over to the one who awaits it
+                error = caught
+            # a loop that was closed meanwhile has nobody who waits
+            with contextlib.suppress(RuntimeError):
+                loop.call_soon_threadsafe(self._done, future, result, error)
+            del job, call, future, result, error
+
+    def _done(self, future: asyncio.Future[Any], result: object, error: Exception | None) -> None:
+        self._busy -= 1
+        if not self._busy:
+            self._idle.set()
+        if future.done():
+            return
+        if error is not None:
+            future.set_exception(error)
+        else:
+            future.set_result(result)
