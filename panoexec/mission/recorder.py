@@ -30,7 +30,7 @@ class Recorder:
         self._clock = clock
         self._queue: list[Event] = []
         self._durable_seq = record.seq
-        self._changed = asyncio.Condition()
+        self._progress = asyncio.Event()
         self._work = asyncio.Event()
         self._closing = False
 
@@ -57,11 +57,15 @@ class Recorder:
         self._work.set()
         return stamped
 
+    def blocker(self, seq: int) -> asyncio.Event | None:
+        """None when event `seq` is on disk and announced; else an event to wait for before asking again."""
+        return None if self._durable_seq >= seq else self._progress
+
     async def durable(self) -> None:
         """Return when everything emitted so far is on disk and announced."""
         seq = self.record.seq
-        async with self._changed:
-            await self._changed.wait_for(lambda: self._durable_seq >= seq)
+        while (blocker := self.blocker(seq)) is not None:
+            await blocker.wait()
 
     async def run(self) -> None:
         """Write and announce until closed.
@@ -78,9 +82,9 @@ class Recorder:
                 await self._journal.append(batch)
                 for event in batch:
                     self._sink.publish(event)
-                async with self._changed:
-                    self._durable_seq = batch[-1].seq
-                    self._changed.notify_all()
+                self._durable_seq = batch[-1].seq
+                done, self._progress = self._progress, asyncio.Event()
+                done.set()
             elif self._closing:
                 return
             if self._queue or self._closing:

@@ -69,6 +69,10 @@ class ShotQueue:
             return Decision.LATER
         return Decision.GIVE_UP
 
+    def round_of(self, shot: int) -> int:
+        """The round in which the shot comes next."""
+        return self._round_of.get(shot, 0)
+
     def drop(self, shot: int) -> None:
         """It is not wanted any more (skipped)."""
         for line in (self._now, self._later):

@@ -1,0 +1,247 @@
+"""One attempt at a shot: point, wait until settled, expose, judge every sample of the exposure."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from panoexec.clock import Clock
+from panoexec.devices import Camera, Gimbal, PendingCapture
+from panoexec.errors import DeviceError
+from panoexec.mission.pace import slew_time_s
+from panoexec.mission.preflight import gimbal_limits
+from panoexec.mission.settings import MissionSettings
+from panoexec.mission.waiting import until, within
+from panoexec.planning.model import Shot
+from panoexec.pointing import (
+    SettleLimits,
+    SettleTracker,
+    Target,
+    WindowVerdict,
+    judge_window,
+    pose_of,
+    read_pose,
+    readings_since,
+    to_north,
+)
+
+TRIGGER_BOUND_S = 10.0
+"""An adapter answers or gives up long before this."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NotSettled:
+    """The attempt ends before its photo."""
+
+    code: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settled:
+    """The pose is inside tolerance and still: trigger now.
+
+    Attributes:
+        commanded_s: when the pointing command went out.
+        settled_s: when everything that the trigger waits for was there.
+    """
+
+    commanded_s: float
+    settled_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exposure:
+    """Photos taken, attitudes judged.
+
+    Attributes:
+        captures: one a photo, to wait on for evidence.
+        verdict: on the attitudes from the first trigger to the end of the last exposure.
+        trigger_utc_s: wall time of each trigger.
+        trigger_delay_s: from settled to the first trigger on the wire.
+        failure: why not all photos were taken, "" if they were.
+    """
+
+    captures: tuple[PendingCapture, ...]
+    verdict: WindowVerdict
+    trigger_utc_s: tuple[float, ...]
+    trigger_delay_s: float
+    failure: str = ""
+
+
+@dataclass(kw_only=True)
+class Shooter:
+    """Knows how to take one photo with these devices.
+
+    Attributes:
+        reference_yaw_north_deg: direction of the plan's yaw 0 from true north.
+        open_loop: there is no attitude feedback; believe the gimbal after the slew time.
+    """
+
+    gimbal: Gimbal
+    camera: Camera
+    clock: Clock
+    settings: MissionSettings
+    reference_yaw_north_deg: float
+    open_loop: bool
+    _last_trigger_s: float = field(default=-math.inf, init=False)
+    _pointed: tuple[float, float] | None = field(default=None, init=False)
+
+    async def approach(
+        self, shot: Shot, *, patience_s: float, clear: Callable[[], asyncio.Event | None]
+    ) -> Settled | NotSettled:
+        """Point at a shot and return when the trigger may go out, or when patience is over.
+
+        Safe to cancel at any moment.
+
+        Args:
+            shot: where, in the plan's frame.
+            patience_s: how long settling may take beyond the expected slew and the settle time.
+            clear: None when nothing else keeps the trigger, else an event to wait for before asking again.
+        """
+        expected_s = self._expected_slew_s(shot)
+        commanded_s = self.clock.monotonic()
+        refused = await self._point(shot)
+        if refused:
+            return NotSettled(code="gimbal", reason=refused)
+        if self.open_loop:
+            await self.clock.sleep(1.5 * expected_s + self.settings.settle_s)
+            while (blocker := clear()) is not None:
+                await blocker.wait()
+            await self.clock.sleep(self._interval_left_s())
+            return Settled(commanded_s=commanded_s, settled_s=self.clock.monotonic())
+        limits = SettleLimits(
+            settle_s=self.settings.settle_s,
+            max_rate_deg_s=self.settings.max_rate_deg_s,
+            max_gap_s=self.settings.max_gap_s,
+        )
+        tracker = SettleTracker(target=self._target(shot), limits=limits)
+        bound_s = expected_s + self.settings.settle_s + patience_s
+        wait = _Wait(tracker=tracker, commanded_s=commanded_s, bound_s=bound_s, deadline_s=commanded_s + bound_s)
+        done, settled_s = await until(self._overdue(wait), self._follow(wait, clear), f"settle shot {shot.index}")
+        if done and settled_s is not None:
+            return Settled(commanded_s=commanded_s, settled_s=settled_s)
+        why = tracker.problem
+        if tracker.is_stale(self.clock.monotonic()):
+            why = "the gimbal's attitude stream is silent"
+        elif not why:
+            why = "inside tolerance, but never for the whole settle time"
+        return NotSettled(code="not_settled", reason=f"not settled after {bound_s:.1f} s: {why}")
+
+    async def expose(self, shot: Shot, settled: Settled) -> Exposure | NotSettled:
+        """Trigger and judge; returns when the exposure has ended. Must not be cancelled half-way but at a hard stop."""
+        captures: list[PendingCapture] = []
+        stamps: list[float] = []
+        failure = ""
+        end_s = 0.0
+        for number in range(1, self.settings.brackets + 1):
+            if number > 1:
+                await self.clock.sleep(self._interval_left_s())
+            self._last_trigger_s = self.clock.monotonic()
+            try:
+                capture = await within(self.clock, TRIGGER_BOUND_S, self.camera.trigger(), f"trigger {shot.index}")
+            except (DeviceError, TimeoutError) as error:
+                failure = f"photo {number} of {self.settings.brackets}: {error}"
+                break
+            self._last_trigger_s = capture.commanded_s
+            captures.append(capture)
+            stamps.append(self.clock.time() - (self.clock.monotonic() - capture.commanded_s))
+            end_s = capture.commanded_s + self.settings.exposure_bound_s
+            await self.clock.sleep(end_s - self.clock.monotonic())
+        if not captures:
+            return NotSettled(code="trigger", reason=failure)
+        return Exposure(
+            captures=tuple(captures),
+            verdict=self._judge(shot, captures[0].commanded_s, end_s),
+            trigger_utc_s=tuple(stamps),
+            trigger_delay_s=captures[0].commanded_s - settled.settled_s,
+            failure=failure,
+        )
+
+    def _target(self, shot: Shot) -> Target:
+        return Target(pitch_deg=shot.pitch_deg, yaw_deg=shot.yaw_deg, tolerance=self.settings.tolerance)
+
+    def _judge(self, shot: Shot, start_s: float, end_s: float) -> WindowVerdict:
+        if self.open_loop:
+            return WindowVerdict(ok=True, reason="", code="", samples=0, measured=None, errors=None)
+        gap = self.settings.max_gap_s
+        readings = readings_since(self.gimbal.feed, start_s - 2 * gap, self.reference_yaw_north_deg)
+        return judge_window(readings, target=self._target(shot), start_s=start_s, end_s=end_s, max_gap_s=gap)
+
+    async def _point(self, shot: Shot) -> str:
+        yaw_north = to_north(shot.yaw_deg, self.reference_yaw_north_deg)
+        for remaining in reversed(range(self.settings.device_tries)):
+            try:
+                await self.gimbal.point(shot.pitch_deg, yaw_north)
+            except DeviceError as error:
+                if not remaining:
+                    return str(error)
+                await self.clock.sleep(0.2)
+            else:
+                self._pointed = (shot.pitch_deg, shot.yaw_deg)
+                return ""
+        return ""
+
+    def _expected_slew_s(self, shot: Shot) -> float:
+        limits = gimbal_limits(self.gimbal, self.settings)
+        start = self._pose_now() or self._pointed
+        pitch, yaw = start or (shot.pitch_deg + 90.0, shot.yaw_deg + 180.0)
+        return slew_time_s(
+            limits, from_pitch_deg=pitch, from_yaw_deg=yaw, to_pitch_deg=shot.pitch_deg, to_yaw_deg=shot.yaw_deg
+        )
+
+    def _pose_now(self) -> tuple[float, float] | None:
+        sample = self.gimbal.feed.latest
+        if sample is None or self.open_loop:
+            return None
+        reading = read_pose(sample, self.gimbal.feed.vehicle_attitude_at(sample), self.reference_yaw_north_deg)
+        if reading.rotation is None:
+            return None
+        pose = pose_of(reading.rotation)
+        return pose.pitch_deg, pose.yaw_deg
+
+    def _interval_left_s(self) -> float:
+        return max(0.0, self._last_trigger_s + self.settings.interval_s - self.clock.monotonic())
+
+    async def _follow(self, wait: _Wait, clear: Callable[[], asyncio.Event | None]) -> float:
+        """Feed the tracker until the trigger may go out; returns when the last condition for it came true."""
+        feed, tracker = self.gimbal.feed, wait.tracker
+        newest = free_s = wait.commanded_s
+        fresh = False
+        while True:
+            samples = feed.since(newest) or ([] if fresh else [await feed.newer_than(newest)])
+            fresh = False
+            for sample in samples:
+                newest = sample.received_s
+                tracker.add(read_pose(sample, feed.vehicle_attitude_at(sample), self.reference_yaw_north_deg))
+            if not tracker.settled or tracker.is_stale(self.clock.monotonic()):
+                continue
+            blocker, left_s = clear(), self._interval_left_s()
+            if blocker is None and left_s <= 0:
+                return max(tracker.settled_at_s, free_s)
+            if blocker is not None:
+                await blocker.wait()
+            else:
+                await self.clock.sleep(left_s)
+            fresh, free_s = True, self.clock.monotonic()
+            wait.deadline_s = max(wait.deadline_s, free_s + wait.bound_s)
+
+    async def _overdue(self, wait: _Wait) -> None:
+        """Return when patience is over; a pose that is settled and only waits for its turn has all the time."""
+        while True:
+            await self.clock.sleep(max(wait.deadline_s - self.clock.monotonic(), 0.05))
+            now = self.clock.monotonic()
+            if now >= wait.deadline_s and (not wait.tracker.settled or wait.tracker.is_stale(now)):
+                return
+
+
+@dataclass(kw_only=True)
+class _Wait:
+    """The wait for one pose to settle; what keeps the trigger for other reasons moves its deadline."""
+
+    tracker: SettleTracker
+    commanded_s: float
+    bound_s: float
+    deadline_s: float

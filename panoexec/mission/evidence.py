@@ -1,0 +1,56 @@
+"""From what a camera proves to what a mission records of a photo."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from panoexec.devices import CaptureEvidence, EvidenceLevel, PendingCapture
+from panoexec.errors import DeviceError
+from panoexec.events import Photo
+
+
+def first_photos(trigger_utc_s: Sequence[float]) -> tuple[Photo, ...]:
+    """Photos of which nothing is known but that their trigger was acknowledged."""
+    return tuple(
+        Photo(number=number, evidence=EvidenceLevel.ACKNOWLEDGED, capture_time_utc_s=stamp)
+        for number, stamp in enumerate(trigger_utc_s, start=1)
+    )
+
+
+def with_evidence(photo: Photo, found: CaptureEvidence) -> Photo:
+    """The photo with better proof; what the proof does not tell stays as it was."""
+    if found.level < photo.evidence:
+        return photo
+    return replace(
+        photo,
+        evidence=found.level,
+        capture_time_utc_s=photo.capture_time_utc_s if math.isnan(found.time_utc_s) else found.time_utc_s,
+        image_index=found.image_index if found.image_index >= 0 else photo.image_index,
+        file=found.file_url or photo.file,
+        latitude_deg=found.latitude_deg,
+        longitude_deg=found.longitude_deg,
+        altitude_m=found.altitude_m,
+        duplicates=found.duplicates,
+    )
+
+
+async def gather(
+    photos: Sequence[Photo], captures: Sequence[PendingCapture], *, at_least: EvidenceLevel, timeout_s: float
+) -> tuple[Photo, ...]:
+    """Wait for proof of each photo, `timeout_s` from its trigger at most."""
+    out = []
+    for photo, capture in zip(photos, captures, strict=True):
+        try:
+            found = await capture.evidence(at_least, timeout_s)
+        except DeviceError:
+            out.append(photo)  # nothing more will be known; the verdict follows from the level
+        else:
+            out.append(with_evidence(photo, found))
+    return tuple(out)
+
+
+def weakest(photos: Sequence[Photo]) -> EvidenceLevel:
+    """The weakest evidence among photos."""
+    return min(photo.evidence for photo in photos)

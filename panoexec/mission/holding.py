@@ -1,0 +1,138 @@
+"""Watching the guards, holding while something is wrong, and who has the gimbal."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+from panoexec import events as ev
+from panoexec.errors import DeviceError
+from panoexec.mission.control import Stop
+from panoexec.mission.flight import Flight
+from panoexec.mission.guards import Finding, Guard, Situation, reasons
+from panoexec.mission.waiting import until, within
+from panoexec.states import MissionState
+
+WATCH_S = 0.1
+"""How often the guards look."""
+TICK_S = 0.5
+"""How often a held mission looks at itself when nothing wakes it."""
+RECLAIM_EVERY_S = 3.0
+
+
+class Holding:
+    """Keeps a mission from shooting while it must not, and owns the gimbal's control."""
+
+    def __init__(self, flight: Flight, guards: tuple[Guard, ...]) -> None:
+        self._flight = flight
+        self._guards = guards
+        self._touched = False
+        self._boots = flight.vehicle.status.boot_count
+
+    async def watch(self) -> None:
+        """Look at the guards for as long as the mission shoots or holds; runs until cancelled."""
+        while True:
+            if self._flight.record.state in {MissionState.CAPTURING, MissionState.PAUSED}:
+                self.look()
+            await self._flight.clock.sleep(WATCH_S)
+
+    def look(self) -> None:
+        """Turn findings into holds, and let holds go whose cause is gone."""
+        flight = self._flight
+        now = flight.clock.monotonic()
+        status = flight.vehicle.status
+        if status.boot_count != self._boots:
+            self._boots = status.boot_count
+            flight.recorder.emit(ev.Warned(code="reboot", text="the autopilot has rebooted"))
+        sample = flight.gimbal.feed.latest
+        situation = Situation(
+            now_s=now,
+            vehicle=status,
+            sample_age_s=math.inf if sample is None else now - sample.received_s,
+            in_control=flight.gimbal.in_control,
+            expects_control=flight.record.gimbal_held,
+            origin=flight.record.origin,
+            storage_free_images=flight.camera.storage_free_images,
+            holding=frozenset(flight.control.holds),
+        )
+        found = {f.code: f for guard in self._guards if (f := guard.check(situation)) is not None}
+        for finding in found.values():
+            flight.control.hold(finding)
+        for code in set(flight.control.holds) - set(found) - {"command"}:
+            flight.control.clear(code, now_s=now, clear_s=flight.settings.guards.clear_s)
+
+    async def hold(self) -> None:
+        """Hold until nothing holds the mission any more (then it is capturing), or it must leave."""
+        flight, control = self._flight, self._flight.control
+        began = asked = flight.clock.monotonic()
+        announced = ""
+        while not control.must_leave:
+            control.settled()
+            if not control.holds:
+                if await self.acquire():
+                    paused_s = flight.clock.monotonic() - began
+                    flight.recorder.emit(ev.MissionResumed(paused_s=paused_s), MissionState.CAPTURING)
+                    flight.pace.restart(flight.clock.monotonic())
+                    return
+                continue
+            if reasons(control.holds) != announced:
+                announced = reasons(control.holds)
+                self._announce()
+            if any(hold.finding.release for hold in control.holds.values()):
+                await self.release()
+            now = flight.clock.monotonic()
+            if now - began > flight.settings.max_pause_s:
+                control.ask_stop(Stop("fail", f"paused for {now - began:.0f} s: {announced}"))
+                return
+            patience_s = flight.settings.guards.reclaim_after_s if asked == began else RECLAIM_EVERY_S
+            if set(control.holds) == {"gimbal_control"} and now - asked >= patience_s:
+                asked = now
+                await self._reclaim()
+            await until(flight.clock.sleep(TICK_S), control.changed.wait(), "paused")
+
+    def _announce(self) -> None:
+        holds = self._flight.control.holds
+        paused = ev.MissionPaused(
+            code="+".join(holds),
+            reason=reasons(holds),
+            automatic=all(hold.finding.automatic for hold in holds.values()),
+        )
+        self._flight.recorder.emit(paused, MissionState.PAUSED)
+
+    async def acquire(self) -> bool:
+        """Take the gimbal, unless it is held; on failure the mission holds for it. Gives up when it must leave."""
+        flight = self._flight
+        if flight.record.gimbal_held and flight.gimbal.in_control:
+            return True
+        self._touched = True
+        try:
+            done, _ = await until(flight.control.leaving.wait(), flight.gimbal.acquire(), "take the gimbal")
+        except DeviceError as error:
+            finding = Finding(code="gimbal_control", reason=f"cannot take the gimbal: {error}", automatic=True)
+            flight.control.hold(finding)
+            return False
+        if done:
+            flight.recorder.emit(ev.GimbalAcquired())
+        return done
+
+    async def _reclaim(self) -> None:
+        finding = self._flight.control.holds["gimbal_control"].finding
+        if finding.automatic and self._flight.record.gimbal_held:
+            await self.acquire()
+
+    async def release(self) -> None:
+        """Give the gimbal back if it was ever asked for; bounded, and never raises for a gimbal that is gone."""
+        if not self._touched:
+            return
+        flight = self._flight
+        self._touched = False
+        try:
+            await within(flight.clock, flight.settings.release_s, flight.gimbal.release(), "release the gimbal")
+        except (TimeoutError, DeviceError):
+            confirmed = False
+        except asyncio.CancelledError:
+            self._touched = True  # the last try, at the very end, will see to it
+            raise
+        else:
+            confirmed = True
+        flight.recorder.emit(ev.GimbalReleased(confirmed=confirmed))

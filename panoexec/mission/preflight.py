@@ -1,0 +1,103 @@
+"""Checks before a mission moves anything: each problem one line for a pilot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from panoexec.angles import wrap_180
+from panoexec.devices import AttitudeSample, Camera, Gimbal, Vehicle
+from panoexec.mission.settings import MissionSettings
+from panoexec.planning.model import GimbalLimits, Shot
+from panoexec.pointing import GIMBAL_FAILURES
+
+
+def limit_problems(shots: Iterable[Shot], limits: GimbalLimits, *, margin_deg: float = 1e-6) -> list[str]:
+    """Shots that the gimbal cannot reach: one line an axis and end, with the worst of them.
+
+    Yaw limits mean yaw from the vehicle's heading; they are checked only where the pan range has no full turn and the
+    caller gives shots in that frame.
+    """
+    out: dict[str, tuple[float, str, int]] = {}
+    for shot in shots:
+        for axis, value, low, high in (
+            ("pitch", shot.pitch_deg, limits.pitch_min_deg, limits.pitch_max_deg),
+            ("yaw", shot.yaw_deg, limits.yaw_min_deg, limits.yaw_max_deg),
+        ):
+            if axis == "yaw" and (limits.yaw_endless or high - low >= 360.0):
+                continue
+            beyond = max(low - value, value - high)
+            if beyond <= margin_deg:
+                continue
+            worst, _, count = out.get(axis, (0.0, "", 0))
+            text = f"shot {shot.index} at {axis} {value:.2f}° is outside the gimbal's {low:g}° to {high:g}°"
+            out[axis] = (beyond, text, count + 1) if beyond > worst else (worst, out[axis][1], count + 1)
+    return [text + (f" (and {count - 1} more)" if count > 1 else "") for _, text, count in out.values()]
+
+
+def gimbal_limits(gimbal: Gimbal, settings: MissionSettings) -> GimbalLimits:
+    """The limits that hold: the gimbal's own if it states them, else the configured ones."""
+    return gimbal.limits or settings.gimbal
+
+
+def preflight_problems(
+    *,
+    shots: Sequence[Shot],
+    settings: MissionSettings,
+    gimbal: Gimbal,
+    camera: Camera,
+    vehicle: Vehicle,
+    reference_yaw_north_deg: float,
+    now_s: float,
+) -> list[str]:
+    """Everything that speaks against beginning now; empty when all is well.
+
+    Args:
+        shots: those still to be taken, in the plan's frame.
+        settings: the mission's.
+        gimbal: asked for limits and its newest attitude.
+        camera: asked for its storage.
+        vehicle: asked for its status.
+        reference_yaw_north_deg: direction of the plan's yaw 0 from true north.
+        now_s: on the mission's clock.
+    """
+    status = vehicle.status
+    guards = settings.guards
+    if not status.connected:
+        return ["no heartbeat from the autopilot: check the link"]
+    problems = []
+    if settings.feedback != "none":
+        problems += attitude_problems(gimbal.feed.latest, now_s=now_s, silence_s=guards.attitude_silence_s)
+    turn = reference_yaw_north_deg - status.heading_deg
+    forward = [
+        Shot(index=s.index, row=s.row, pitch_deg=s.pitch_deg, yaw_deg=float(wrap_180(s.yaw_deg + turn)))
+        for s in shots
+        if math.isfinite(turn)
+    ]
+    problems += limit_problems(forward or shots, gimbal_limits(gimbal, settings))
+    needed = len(shots) * settings.brackets
+    if camera.storage_free_images < needed:
+        problems.append(f"the camera has room for {camera.storage_free_images:g} photos, {needed} are needed")
+    if status.battery_frac < guards.battery_floor_frac:
+        problems.append(
+            f"battery at {100 * status.battery_frac:.0f} %, the floor is {100 * guards.battery_floor_frac:.0f} %"
+        )
+    if guards.position_hold and not status.in_air:
+        problems.append("the vehicle is not in the air: take off and hover")
+    if guards.position_hold and not status.position_ok:
+        problems.append("the vehicle has no good position: it cannot hold its place")
+    if guards.allowed_modes and status.mode not in guards.allowed_modes:
+        problems.append(f"flight mode is {status.mode or 'unknown'}; allowed: {', '.join(guards.allowed_modes)}")
+    return problems
+
+
+def attitude_problems(sample: AttitudeSample | None, *, now_s: float, silence_s: float) -> list[str]:
+    """What is wrong with the gimbal's attitude stream."""
+    if sample is None:
+        return ["the gimbal reports no attitude: check that it is connected and that its messages are streamed"]
+    if now_s - sample.received_s > silence_s:
+        return [f"the gimbal's last attitude is {now_s - sample.received_s:.1f} s old"]
+    if not all(math.isfinite(value) for value in sample.q_wxyz):
+        return ["the gimbal reports an attitude that is not a number"]
+    flagged = [name for flag, name in GIMBAL_FAILURES.items() if sample.failure_flags & flag]
+    return [f"the gimbal reports: {', '.join(flagged)}"] if flagged else []

@@ -1,0 +1,189 @@
+"""The loop over the shots: attempt, verdict, retake; evidence is awaited while the next slew is on its way."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+
+from panoexec import events as ev
+from panoexec.devices import EvidenceLevel, PendingCapture
+from panoexec.mission import evidence
+from panoexec.mission.attempt import Exposure, NotSettled, Settled, Shooter
+from panoexec.mission.flight import Flight
+from panoexec.mission.holding import Holding
+from panoexec.mission.shot_queue import Decision, Task
+from panoexec.mission.waiting import until
+
+
+class Shooting:
+    """Takes the shots of the queue until it is empty and all evidence is in, or the mission must leave."""
+
+    def __init__(self, flight: Flight, holding: Holding, group: asyncio.TaskGroup) -> None:
+        self._flight = flight
+        self._holding = holding
+        self._group = group
+        self._outstanding = 0
+        self._proven = asyncio.Event()
+        self._must_keep_seq = 0
+        self.shooter = Shooter(
+            gimbal=flight.gimbal,
+            camera=flight.camera,
+            clock=flight.clock,
+            settings=flight.settings,
+            reference_yaw_north_deg=flight.record.reference_yaw_north_deg,
+            open_loop=flight.settings.feedback == "none",
+        )
+
+    async def run(self) -> None:
+        """Shoot; the mission is capturing on entry, and capturing or paused on return."""
+        flight, control = self._flight, self._flight.control
+        while not control.must_leave:
+            control.settled()
+            if control.holds or not (flight.record.gimbal_held or await self._holding.acquire()):
+                if control.holds:
+                    await self._holding.hold()
+                continue
+            task = flight.queue.take()
+            if task is not None:
+                await self._attempt(task)
+            elif self._outstanding:
+                self._proven.clear()
+                await until(control.changed.wait(), self._proven.wait(), "evidence")
+            else:
+                return
+
+    async def evidence_in(self) -> None:
+        """Return when no photo waits for its evidence any more (each wait is bounded), or the mission must stop."""
+        while self._outstanding and self._flight.control.stop is None:
+            self._proven.clear()
+            await until(self._flight.control.stopping.wait(), self._proven.wait(), "last evidence")
+
+    async def _attempt(self, task: Task) -> None:
+        flight, control = self._flight, self._flight.control
+        record = flight.record.shots[task.shot]
+        shot, number = record.shot, len(record.attempts) + 1
+        patience_s = flight.settings.patience_s * 2**task.round
+        started = ev.ShotStarted(
+            shot=shot.index,
+            attempt=number,
+            round=task.round,
+            pitch_deg=shot.pitch_deg,
+            yaw_deg=shot.yaw_deg,
+            patience_s=patience_s,
+        )
+        self._keep(started)
+        approach = self.shooter.approach(shot, patience_s=patience_s, clear=self._blocker)
+        done, result = await until(control.interrupt.wait(), approach, f"shot {shot.index}")
+        if not done or result is None or (control.interrupt.is_set() and isinstance(result, Settled)):
+            self._interrupted(shot.index, number)
+            return
+        exposure = await self.shooter.expose(shot, result) if isinstance(result, Settled) else result
+        if isinstance(exposure, NotSettled):
+            self._reject(shot.index, number, exposure.code, exposure.reason, ())
+            return
+        assert isinstance(result, Settled)
+        self._exposed(shot.index, number, result, exposure)
+
+    def _exposed(self, shot: int, number: int, settled: Settled, exposure: Exposure) -> None:
+        verdict, photos = exposure.verdict, evidence.first_photos(exposure.trigger_utc_s)
+        exposed = ev.ShotExposed(
+            shot=shot,
+            attempt=number,
+            photos=photos,
+            pointing_ok=verdict.ok,
+            reason=verdict.reason,
+            samples=verdict.samples,
+            measured=verdict.measured,
+            errors=verdict.errors,
+            slew_settle_s=settled.settled_s - settled.commanded_s,
+            trigger_delay_s=exposure.trigger_delay_s,
+            open_loop=self.shooter.open_loop,
+        )
+        self._keep(exposed)
+        if verdict.ok and not exposure.failure:
+            self._outstanding += 1
+            self._group.create_task(self._prove(shot, number, photos, exposure.captures), name=f"evidence of {shot}")
+            return
+        code = "trigger" if exposure.failure else verdict.code
+        self._reject(shot, number, code, exposure.failure or verdict.reason, photos)
+        self._group.create_task(self._identify(shot, number, photos, exposure.captures), name=f"photo of {shot}")
+
+    async def _prove(
+        self, shot: int, number: int, photos: Sequence[ev.Photo], captures: Sequence[PendingCapture]
+    ) -> None:
+        """Wait for the evidence of an exposure that was well pointed; then it is accepted or taken again."""
+        settings = self._flight.settings
+        try:
+            proven = await evidence.gather(
+                photos, captures, at_least=settings.min_evidence, timeout_s=settings.evidence_s
+            )
+            level = evidence.weakest(proven)
+            if level >= settings.min_evidence:
+                by = "open_loop" if self.shooter.open_loop else "tolerance"
+                self._keep(ev.ShotAccepted(shot=shot, attempt=number, photos=proven, by=by))
+                self._flight.control.skips.discard(shot)
+                self._flight.pace.accepted(self._flight.clock.monotonic())
+            else:
+                reason = (
+                    f"the photo is only {level.name.lower()} after {settings.evidence_s:g} s,"
+                    f" {settings.min_evidence.name.lower()} is asked for"
+                )
+                self._reject(shot, number, "evidence", reason, proven)
+        finally:
+            self._outstanding -= 1
+            self._proven.set()
+        await self._identify(shot, number, proven, captures)
+
+    async def _identify(
+        self, shot: int, number: int, photos: Sequence[ev.Photo], captures: Sequence[PendingCapture]
+    ) -> None:
+        """Learn the file names of photos whose verdict is known; nothing waits for it."""
+        if evidence.weakest(photos) >= EvidenceLevel.CAPTURE_MESSAGE:
+            return
+        level, timeout_s = EvidenceLevel.CAPTURE_MESSAGE, self._flight.settings.evidence_s
+        better = await evidence.gather(photos, captures, at_least=level, timeout_s=timeout_s)
+        if better != tuple(photos):
+            self._flight.recorder.emit(ev.PhotoIdentified(shot=shot, attempt=number, photos=better))
+
+    def _interrupted(self, shot: int, number: int) -> None:
+        control = self._flight.control
+        why = "skipped" if shot in control.skips else "finishing" if control.must_leave else "paused"
+        self._keep(ev.ShotInterrupted(shot=shot, attempt=number, reason=why))
+        if not self._skipped(shot, number):
+            self._flight.queue.put_back(shot)
+
+    def _reject(self, shot: int, number: int, code: str, reason: str, photos: Sequence[ev.Photo]) -> None:
+        self._keep(ev.ShotRejected(shot=shot, attempt=number, code=code, reason=reason, photos=tuple(photos)))
+        if self._skipped(shot, number):
+            return
+        emit, queue = self._flight.recorder.emit, self._flight.queue
+        match queue.rejected(shot):
+            case Decision.AT_ONCE:
+                emit(ev.ShotRetaken(shot=shot, attempt=number + 1, reason=reason))
+            case Decision.LATER:
+                emit(ev.ShotDeferred(shot=shot, attempt=number, reason=reason, round=queue.round_of(shot)))
+            case Decision.GIVE_UP:
+                emit(ev.ShotMissed(shot=shot, attempt=number, reason=reason))
+
+    def _skipped(self, shot: int, number: int) -> bool:
+        control = self._flight.control
+        if shot not in control.skips:
+            return False
+        control.skips.discard(shot)
+        self._flight.queue.drop(shot)
+        self._flight.recorder.emit(ev.ShotSkipped(shot=shot, attempt=number, reason="skipped by command"))
+        return True
+
+    def _keep(self, event: ev.Event) -> None:
+        """Emit an event that must be on disk before the next photo."""
+        self._must_keep_seq = self._flight.recorder.emit(event).seq
+
+    def _blocker(self) -> asyncio.Event | None:
+        """What the next trigger must wait for: the journal, or the evidence of the photos before."""
+        blocker = self._flight.recorder.blocker(self._must_keep_seq)
+        if blocker is not None:
+            return blocker
+        if self._outstanding >= self._flight.settings.pending:
+            self._proven.clear()
+            return self._proven
+        return None

@@ -1,0 +1,314 @@
+"""Devices that obey the protocols of `panoexec.devices` and can misbehave in every way that hardware does."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import random
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from panoexec.angles import FloatArray, quaternion_from_rotation, rotation, wrap_180
+from panoexec.clock import Clock
+from panoexec.devices import (
+    AttitudeSample,
+    CaptureEvidence,
+    EvidenceLevel,
+    VehicleAttitude,
+    VehicleStatus,
+    YawFrame,
+)
+from panoexec.errors import DeviceError
+from panoexec.planning.model import GimbalLimits
+
+Angles = tuple[float, float, float]
+"""Yaw from north, pitch, roll."""
+
+
+def _eased(start: float, end: float, elapsed: float, rate: float, acceleration: float) -> float:
+    """Position on a trapezoid of speed from rest to rest."""
+    distance, sign = abs(end - start), math.copysign(1.0, end - start)
+    ramp = min(rate / acceleration, math.sqrt(distance / acceleration))
+    top = acceleration * ramp
+    cruise = max(0.0, distance / top - ramp) if top > 0 else 0.0
+    t = min(max(elapsed, 0.0), 2 * ramp + cruise)
+    if t <= ramp:
+        return start + sign * acceleration * t * t / 2
+    if t <= ramp + cruise:
+        return start + sign * (top * ramp / 2 + top * (t - ramp))
+    left = 2 * ramp + cruise - t
+    return end - sign * acceleration * left * left / 2
+
+
+class FakeFeed:
+    """Samples at a fixed rate, from what the gimbal claims."""
+
+    def __init__(self, *, clock: Clock) -> None:
+        self._clock = clock
+        self._samples: deque[AttitudeSample] = deque(maxlen=4000)
+        self._arrived = asyncio.Event()
+        self.vehicle: deque[VehicleAttitude] = deque(maxlen=4000)
+
+    def push(self, sample: AttitudeSample) -> None:
+        self._samples.append(sample)
+        arrived, self._arrived = self._arrived, asyncio.Event()
+        arrived.set()
+
+    @property
+    def latest(self) -> AttitudeSample | None:
+        return self._samples[-1] if self._samples else None
+
+    def since(self, received_s: float) -> Sequence[AttitudeSample]:
+        out = []
+        for sample in reversed(self._samples):
+            if sample.received_s <= received_s:
+                break
+            out.append(sample)
+        return out[::-1]
+
+    async def newer_than(self, received_s: float) -> AttitudeSample:
+        while not (newer := self.since(received_s)):
+            await self._arrived.wait()
+        return newer[0]
+
+    def vehicle_attitude_at(self, sample: AttitudeSample) -> VehicleAttitude | None:
+        near = [v for v in self.vehicle if abs(v.received_s - sample.received_s) <= 0.1]
+        return min(near, key=lambda v: abs(v.received_s - sample.received_s), default=None)
+
+
+@dataclass
+class FakeGimbal:
+    """A gimbal with limited rates that reports where it is, or lies about it."""
+
+    clock: Clock
+    seed: int = 0
+    rate_hz: float = 50.0
+    noise_deg: float = 0.005
+    frame: YawFrame = YawFrame.EARTH
+    tells_rate: bool = True
+    limits: GimbalLimits | None = field(default_factory=GimbalLimits)
+    in_control: bool = False
+    # faults
+    drift: Callable[[float], Angles] | None = None
+    silent: bool = False
+    frozen: bool = False
+    nan: bool = False
+    stuck: bool = False
+    refusals: int = 0
+    refuse_control: int = 0
+    failure_flags: int = 0
+    release_hangs: bool = False
+    vehicle_angles: Angles = (30.0, 4.0, -6.0)
+    """Yaw, pitch, roll (3-1-2) of the airframe, for the frames that are relative to it."""
+    # what happened
+    commands: list[tuple[float, float, float]] = field(default_factory=list)
+    acquired: int = 0
+    released: int = 0
+
+    def __post_init__(self) -> None:
+        self.feed = FakeFeed(clock=self.clock)
+        self._random = random.Random(self.seed)
+        self._start: Angles = (0.0, 0.0, 0.0)
+        self._end: Angles = (0.0, 0.0, 0.0)
+        self._since = -math.inf
+        self._last: tuple[float, FloatArray] | None = None
+
+    def _limits(self) -> GimbalLimits:
+        return self.limits or GimbalLimits()
+
+    def commanded(self, at_s: float) -> Angles:
+        """Where the motors are at a time, without drift."""
+        limits, elapsed = self._limits(), at_s - self._since
+        yaw = _eased(self._start[0], self._end[0], elapsed, limits.yaw_rate_deg_s, limits.yaw_acceleration_deg_s2)
+        pitch = _eased(self._start[1], self._end[1], elapsed, limits.pitch_rate_deg_s, limits.pitch_acceleration_deg_s2)
+        return yaw, pitch, 0.0
+
+    def true_rotation(self, at_s: float) -> FloatArray:
+        """Where the camera really looks: camera to world (NED)."""
+        yaw, pitch, roll = self.commanded(at_s)
+        if self.drift is not None:
+            d = self.drift(at_s)
+            yaw, pitch, roll = yaw + d[0], pitch + d[1], roll + d[2]
+        return rotation(yaw, pitch, roll)
+
+    async def stream(self) -> None:
+        """Report for ever."""
+        while True:
+            await self.clock.sleep(1 / self.rate_hz)
+            if not self.silent:
+                self.report()
+
+    def report(self) -> None:
+        now = self.clock.monotonic()
+        if self._last is None or not self.frozen:
+            noise = [self._random.gauss(0, self.noise_deg) for _ in range(3)]
+            self._last = now, self.true_rotation(now) @ rotation(*noise)
+        world = self._last[1]
+        airframe = rotation(*self.vehicle_angles)
+        heading = math.degrees(math.atan2(airframe[1, 0], airframe[0, 0]))
+        if self.frame is YawFrame.BODY:
+            relative = airframe.T @ world
+        elif self.frame is YawFrame.VEHICLE:
+            relative = rotation(-heading, 0.0) @ world
+        else:
+            relative = world
+        w, x, y, z = (float("nan"),) * 4 if self.nan else tuple(float(v) for v in quaternion_from_rotation(relative))
+        step = 1e-3
+        moved = self.true_rotation(now - step).T @ self.true_rotation(now)
+        speed = math.degrees(math.acos(min(1.0, max(-1.0, (float(np.trace(moved)) - 1) / 2)))) / step
+        vw, vx, vy, vz = (float(v) for v in quaternion_from_rotation(airframe))
+        self.feed.vehicle.append(VehicleAttitude(now, now, (vw, vx, vy, vz)))
+        self.feed.push(
+            AttitudeSample(
+                received_s=now,
+                vehicle_s=now,
+                q_wxyz=(w, x, y, z),
+                yaw_frame=self.frame,
+                rate_deg_s=speed if self.tells_rate else float("nan"),
+                failure_flags=self.failure_flags,
+            )
+        )
+
+    async def acquire(self) -> None:
+        await self.clock.sleep(0.05)
+        if self.refuse_control > 0:
+            self.refuse_control -= 1
+            raise DeviceError("the gimbal manager refused control")
+        self.in_control = True
+        self.acquired += 1
+
+    async def release(self) -> None:
+        if self.release_hangs:
+            await self.clock.sleep(3600.0)
+        await self.clock.sleep(0.02)
+        self.in_control = False
+        self.released += 1
+
+    async def point(self, pitch_deg: float, yaw_deg: float) -> None:
+        await self.clock.sleep(0.004)
+        if self.refusals > 0:
+            self.refusals -= 1
+            raise DeviceError("the gimbal refused the angles")
+        if not self.in_control:
+            raise DeviceError("the gimbal is not ours")
+        now = self.clock.monotonic()
+        self.commands.append((now, pitch_deg, yaw_deg))
+        if self.stuck:
+            return
+        self._start, self._since = self.commanded(now), now
+        self._end = (self._start[0] + float(wrap_180(yaw_deg - self._start[0])), pitch_deg, 0.0)
+
+
+@dataclass
+class TakenPhoto:
+    """What the camera really did."""
+
+    index: int
+    triggered_s: float
+    exposed_s: float
+    ended_s: float
+
+
+@dataclass
+class FakeCapture:
+    camera: FakeCamera
+    commanded_s: float
+    acknowledged_s: float
+    index: int
+    level: EvidenceLevel
+    proof_s: float
+
+    async def evidence(self, at_least: EvidenceLevel, timeout_s: float) -> CaptureEvidence:
+        clock = self.camera.clock
+        proven = self.level >= at_least and self.proof_s <= self.commanded_s + timeout_s
+        until = self.proof_s if proven else self.commanded_s + timeout_s
+        if self.level > EvidenceLevel.ACKNOWLEDGED or at_least > EvidenceLevel.ACKNOWLEDGED:
+            await clock.sleep(until - clock.monotonic())
+        if clock.monotonic() + 1e-9 < self.proof_s:
+            return CaptureEvidence(level=EvidenceLevel.ACKNOWLEDGED, received_s=self.acknowledged_s)
+        has_file = self.level >= EvidenceLevel.CAPTURE_MESSAGE
+        return CaptureEvidence(
+            level=self.level,
+            received_s=self.proof_s,
+            image_index=self.index,
+            file_url=f"IMG_{self.index:04d}.jpg" if has_file else "",
+            time_utc_s=clock.time(),
+        )
+
+
+@dataclass
+class FakeCamera:
+    """Takes photos in virtual time and keeps the truth about them."""
+
+    clock: Clock
+    latency_s: float = 0.05
+    exposure_s: float = 0.02
+    proof_after_s: float = 0.1
+    level: EvidenceLevel = EvidenceLevel.CAPTURE_MESSAGE
+    storage_free_images: float = math.inf
+    # faults
+    refusals: int = 0
+    lost_commands: int = 0
+    lost_proofs: int = 0
+    # what happened
+    photos: list[TakenPhoto] = field(default_factory=list)
+
+    async def trigger(self) -> FakeCapture:
+        commanded_s = self.clock.monotonic()
+        await self.clock.sleep(0.01)
+        if self.refusals > 0:
+            self.refusals -= 1
+            raise DeviceError("the camera refused to take a photo")
+        if self.storage_free_images < 1:
+            raise DeviceError("the camera's storage is full")
+        if self.lost_commands > 0:
+            self.lost_commands -= 1
+            await self.clock.sleep(2.0)
+            raise DeviceError("the camera did not answer")
+        self.storage_free_images -= 1
+        exposed_s = commanded_s + self.latency_s
+        photo = TakenPhoto(len(self.photos), commanded_s, exposed_s, exposed_s + self.exposure_s)
+        self.photos.append(photo)
+        level = self.level
+        if self.lost_proofs > 0:
+            self.lost_proofs -= 1
+            level = EvidenceLevel.ACKNOWLEDGED
+        return FakeCapture(
+            camera=self,
+            commanded_s=commanded_s,
+            acknowledged_s=self.clock.monotonic(),
+            index=photo.index,
+            level=level,
+            proof_s=photo.ended_s + self.proof_after_s,
+        )
+
+
+@dataclass
+class FakeVehicle:
+    """A vehicle that hovers."""
+
+    status: VehicleStatus = field(
+        default_factory=lambda: VehicleStatus(
+            connected=True,
+            armed=True,
+            in_air=True,
+            mode="OFFBOARD",
+            heading_deg=30.0,
+            latitude_deg=47.0,
+            longitude_deg=8.0,
+            altitude_m=500.0,
+            relative_altitude_m=30.0,
+            battery_frac=0.9,
+            position_ok=True,
+        )
+    )
+    said: list[str] = field(default_factory=list)
+
+    async def say(self, text: str) -> None:
+        self.said.append(text)
+
+    def change(self, **changes: object) -> None:
+        self.status = replace(self.status, **changes)  # type: ignore[arg-type]
