@@ -1,0 +1,137 @@
+"""Dispatch to the verbs; every error a user can cause ends here as one line and an exit code.
+
+A verb is a module with `add_arguments(parser)` and `run(args) -> int`. Its module is imported only when it is called,
+so that `panoexec --help` and `panoexec cameras` answer at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+import panoexec
+from panoexec.errors import DependencyError, PanoexecError, UsageError
+
+EXIT_DONE = 0
+EXIT_INTERRUPTED = 130
+
+
+@dataclass(frozen=True, slots=True)
+class Verb:
+    """Where a verb lives, and what it is for in one line."""
+
+    module: str
+    summary: str
+    extra: str = ""
+    """The optional extra whose packages it needs, if any."""
+
+
+VERBS: dict[str, Verb] = {
+    "plan": Verb("plan", "compute the fewest poses that cover a panorama, with proof"),
+    "verify": Verb("verify", "judge any plan file: coverage, overlaps, connectivity under pointing errors"),
+    "cameras": Verb("cameras", "list the camera profiles, or show one with its field of view"),
+    "dry-run": Verb("dry_run", "fly a whole mission on the embedded simulated vehicle", extra="sim"),
+    "simulate": Verb("simulate", "run the simulated vehicle alone, to try a ground station or `serve`", extra="sim"),
+}
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are exceptions with one line of text."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise instead of printing the usage and exiting."""
+        raise UsageError(f"{message} (see {self.prog} --help)")
+
+
+def run(argv: Sequence[str]) -> int:
+    """Run the command line.
+
+    Args:
+        argv: arguments without the program's name.
+
+    Returns:
+        The exit code of the contract.
+    """
+    try:
+        return _dispatch(list(argv))
+    except PanoexecError as error:
+        return _report(error)
+    except KeyboardInterrupt:
+        print("panoexec: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        # the reader of a pipe has gone (`panoexec cameras | head`): say nothing, not even at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_DONE
+
+
+def _report(error: PanoexecError) -> int:
+    # one line whatever the message holds
+    print(f"panoexec: {' '.join(str(error).split())}", file=sys.stderr)
+    return error.exit_code
+
+
+def _dispatch(argv: list[str]) -> int:
+    if not argv or argv[0] in {"-h", "--help", "help"}:
+        print(_overview())
+        return EXIT_DONE if argv else UsageError.exit_code
+    if argv[0] in {"-V", "--version"}:
+        print(f"panoexec {panoexec.__version__}")
+        return EXIT_DONE
+    name, rest = argv[0], argv[1:]
+    verb = VERBS.get(name)
+    if verb is None:
+        raise UsageError(_unknown_verb(name))
+    module = _load(name, verb)
+    # negative numbers are values here (--elevation -90 30); no option looks like one
+    parser = Parser(prog=f"panoexec {name}", description=module.__doc__, formatter_class=_Formatter, allow_abbrev=False)
+    module.add_arguments(parser)
+    try:
+        args = parser.parse_args(rest)
+    except SystemExit as done:  # --help
+        return int(done.code or 0)
+    return int(module.run(args))
+
+
+def _load(name: str, verb: Verb) -> Any:
+    try:
+        return importlib.import_module(f"panoexec.cli.{verb.module}")
+    except ModuleNotFoundError as error:
+        if verb.extra and error.name and not error.name.startswith("panoexec"):
+            raise DependencyError(
+                f"`{name}` needs the Python package {error.name}: install it with  pip install 'panoexec[{verb.extra}]'"
+            ) from error
+        raise
+
+
+class _Formatter(argparse.RawDescriptionHelpFormatter):
+    """Keeps the module's docstring as it is written."""
+
+
+def _overview() -> str:
+    width = max(map(len, VERBS)) + 2
+    lines = [f"  {name:<{width}}{verb.summary}" for name, verb in VERBS.items()]
+    return "\n".join(
+        [
+            "panoexec: complete gigapixel panoramas by multirotor",
+            "",
+            "usage: panoexec VERB [options]      panoexec VERB --help explains a verb",
+            "",
+            *lines,
+            "",
+            "exit codes: 0 done, 1 the result falls short, 2 wrong usage or input, 3 device or link failure,",
+            "            130 interrupted",
+        ]
+    )
+
+
+def _unknown_verb(name: str) -> str:
+    near = difflib.get_close_matches(name, VERBS, n=1)
+    hint = f"did you mean {near[0]!r}?" if near else f"verbs are {', '.join(VERBS)}"
+    return f"there is no verb {name!r}: {hint} (see panoexec --help)"

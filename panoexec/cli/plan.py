@@ -1,0 +1,170 @@
+"""Compute the gimbal poses that cover a panorama, with proof.
+
+The default method searches for the fewest images whose coverage survives every pointing error within the tolerances,
+and says so in a certificate. Exit code 1: there is a plan, but it is not certified.
+
+Example:
+  panoexec plan --camera dji-x5s-15mm --overlap 0.15 --elevation -90 30 --output plan.json --plot plan.png
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from panoexec.camera_profiles import CameraProfile
+from panoexec.cli.output import minutes, note, percent, print_facts, print_json, print_table
+from panoexec.cli.planning_options import (
+    add_camera_arguments,
+    add_constraint_arguments,
+    add_gimbal_arguments,
+    add_method_arguments,
+    constraints_of,
+    count,
+    make_plan,
+    positive,
+    profile_of,
+    timing_of,
+)
+from panoexec.errors import UsageError
+from panoexec.exports import FORMATS, export_plan
+from panoexec.planfile import plan_to_data, write_plan
+from panoexec.planning.duration import check_budget
+from panoexec.planning.model import Certificate, Plan
+from panoexec.plotting import check_plot_path, plot_plan
+
+_DISTANCES_M = (10.0, 50.0, 100.0)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options."""
+    add_camera_arguments(parser, required=True)
+    add_constraint_arguments(parser)
+    add_gimbal_arguments(parser)
+    add_method_arguments(parser)
+    budget = parser.add_argument_group("budget")
+    budget.add_argument("--max-images", type=count, metavar="N", help="refuse a plan with more images")
+    budget.add_argument("--max-duration", type=positive, metavar="S", help="refuse a plan that takes longer")
+    budget.add_argument("--fit", action="store_true", help="when refused, say which overlap or band would fit")
+    output = parser.add_argument_group("output")
+    output.add_argument("--output", type=Path, metavar="PLAN.json", help="write the plan file")
+    output.add_argument("--plot", type=Path, metavar="FILE.png|.svg", help="draw the footprints on the sphere's map")
+    output.add_argument(
+        "--export",
+        action="append",
+        default=[],
+        metavar="FORMAT=FILE",
+        help=f"write the plan for another program: {', '.join(FORMATS)} (repeatable)",
+    )
+    output.add_argument(
+        "--distance", type=positive, nargs="+", metavar="M", help="distances for the ground resolution (10 50 100)"
+    )
+    output.add_argument("--json", action="store_true", help="one JSON document on stdout, the plan file's")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Plan, write what was asked for, show it."""
+    exports = [_export_target(text) for text in args.export]
+    _check_targets([args.output, args.plot, *(path for _, path in exports)])
+    if args.plot:
+        check_plot_path(args.plot)
+    profile = profile_of(args)
+    plan = make_plan(args, profile.camera, constraints_of(args), timing_of(profile))
+    check_budget(
+        plan, max_images=args.max_images, max_duration_s=args.max_duration, timing=timing_of(profile), fit=args.fit
+    )
+    if args.output:
+        write_plan(args.output, plan)
+    if args.plot:
+        plot_plan(plan, args.plot)
+    for name, path in exports:
+        export_plan(name, plan, path)
+    if args.json:
+        print_json(plan_to_data(plan))
+    else:
+        show_plan(plan, profile, args.distance or _DISTANCES_M)
+    for path in [args.output, args.plot, *(path for _, path in exports)]:
+        if path:
+            note(f"wrote {path}")
+    return 0 if plan.certificate is not None and plan.certificate.certified else 1
+
+
+def show_plan(plan: Plan, profile: CameraProfile, distances_m: Sequence[float]) -> None:
+    """Rows, certificate, cost and size of a plan, for a person."""
+    camera, band = plan.camera, plan.constraints.band
+    print_table(
+        f"{camera.name}, {camera.hfov_deg:.2f}° × {camera.vfov_deg:.2f}°: {len(plan.shots)} images ({plan.method})",
+        ("row", "pitch °", "images", "spacing °"),
+        (
+            (str(i), f"{pitch:+.2f}", str(len(shots)), f"{360 / len(shots):.2f}" if band.is_full_circle else "-")
+            for i, (pitch, shots) in reversed(list(enumerate(plan.rows())))
+        ),
+    )
+    facts = []
+    if plan.certificate is not None:
+        facts += certificate_facts(plan.certificate)
+    if plan.lower_bound is not None:
+        facts.append(("lower bound", f"{plan.lower_bound} images (solid angle)"))
+    if plan.estimate is not None:
+        width, height = plan.estimate.panorama_px
+        facts.append(
+            ("duration", f"{minutes(plan.estimate.duration_s)} min:s ({plan.estimate.slew_deg:.0f}° of slews)")
+        )
+        facts.append(("panorama", f"{width} × {height} px as a whole sphere ({width * height / 1e9:.2f} gigapixel)"))
+    facts.append(("resolution", ", ".join(f"{camera.ground_resolution_cm(d):.2g} cm at {d:g} m" for d in distances_m)))
+    if profile.min_interval_s:
+        facts.append(("camera interval", f"{profile.min_interval_s:g} s at least"))
+    print_facts(facts)
+    for text in plan.notes:
+        note(f"note: {text}")
+
+
+def certificate_facts(certificate: Certificate) -> list[tuple[str, str]]:
+    """A certificate as lines for a person."""
+    graph = "two-edge-connected" if certificate.two_edge_connected else "connected, but a single link holds a part"
+    facts = [
+        ("certificate", "CERTIFIED" if certificate.certified else "NOT CERTIFIED"),
+        (
+            "coverage",
+            "proven for every error within the tolerances"
+            if certificate.uncovered_fraction == 0
+            else f"{percent(certificate.uncovered_fraction, 4)} of the band is not sure to be covered",
+        ),
+        (
+            "overlap in rows",
+            f"at least {percent(certificate.min_overlap_h)} (worst case {percent(certificate.worst_overlap_h)})",
+        ),
+        (
+            "overlap of rows",
+            f"at least {percent(certificate.min_overlap_v)} (worst case {percent(certificate.worst_overlap_v)})",
+        ),
+        ("images' graph", graph if certificate.connected else "not connected"),
+    ]
+    facts += [("  fails", failure) for failure in certificate.failures]
+    facts += [
+        (
+            "  hole",
+            f"{hole.size_deg:.3g}° across at elevation {hole.elevation_deg:.2f}°, azimuth {hole.azimuth_deg:.2f}°",
+        )
+        for hole in certificate.holes[:5]
+    ]
+    return facts
+
+
+def _export_target(text: str) -> tuple[str, Path]:
+    name, equals, file = text.partition("=")
+    if not equals or not file or name not in FORMATS:
+        raise UsageError(f"--export {text}: expected FORMAT=FILE with a format of {', '.join(FORMATS)}")
+    return name, Path(file)
+
+
+def _check_targets(paths: Sequence[Path | None]) -> None:
+    """Refuse before any work what could not be written after it."""
+    for path in paths:
+        if path is None:
+            continue
+        if path.is_dir():
+            raise UsageError(f"{path} is a folder: name a file in it")
+        if not path.parent.is_dir():
+            raise UsageError(f"{path}: there is no folder {path.parent}: create it first")

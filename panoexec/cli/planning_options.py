@@ -1,0 +1,219 @@
+"""The options by which `plan`, `verify` and `dry-run` say what panorama is wanted."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import replace
+
+from panoexec.camera_profiles import CameraProfile, load_profile
+from panoexec.errors import UsageError
+from panoexec.optics import Camera
+from panoexec.planning.certificate import certify
+from panoexec.planning.duration import estimate
+from panoexec.planning.hdrpano import plan_hdrpano
+from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Plan, Timing, Tolerance
+from panoexec.planning.paper import plan_paper
+from panoexec.planning.search import plan_certified
+from panoexec.planning.sequence import ORDERS, order_shots
+
+DEFAULT_OVERLAP = 0.15
+DEFAULT_ELEVATION_DEG = (-90.0, 30.0)
+DEFAULT_TOLERANCE = Tolerance(pitch_deg=0.1, roll_deg=0.1, yaw_deg=0.7)
+METHODS = ("certified", "paper", "hdrpano")
+
+
+def number(text: str) -> float:
+    """A finite number.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number")
+    return value
+
+
+def positive(text: str) -> float:
+    """A finite number above 0.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none.
+    """
+    value = number(text)
+    if value <= 0:
+        raise argparse.ArgumentTypeError(f"{text} must be more than 0")
+    return value
+
+
+def count(text: str) -> int:
+    """A whole number of at least 1.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none.
+    """
+    try:
+        value = int(text)
+    except ValueError:
+        value = 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 1 or more")
+    return value
+
+
+def add_camera_arguments(parser: argparse.ArgumentParser, *, required: bool) -> None:
+    """`--camera` and what can be changed of it."""
+    group = parser.add_argument_group("camera")
+    group.add_argument(
+        "--camera", required=required, metavar="NAME|FILE.toml", help="a profile (`panoexec cameras`) or a profile file"
+    )
+    group.add_argument("--orientation", choices=("landscape", "portrait"), help="how it is mounted")
+    group.add_argument("--focal-length", type=positive, metavar="MM", help="for zooms: within the profile's range")
+
+
+def add_constraint_arguments(parser: argparse.ArgumentParser) -> None:
+    """Overlaps, band, tolerances, masks."""
+    group = parser.add_argument_group("panorama (angles in degrees: elevation -90 = nadir, azimuth clockwise)")
+    group.add_argument("--overlap", type=number, metavar="F", help="least overlap, a fraction of the image (0.15)")
+    group.add_argument("--overlap-h", type=number, metavar="F", help="of neighbours in a row, instead of --overlap")
+    group.add_argument("--overlap-v", type=number, metavar="F", help="of neighbouring rows, instead of --overlap")
+    group.add_argument("--elevation", type=number, nargs=2, metavar=("MIN", "MAX"), help="band to cover (-90 30)")
+    group.add_argument(
+        "--azimuth", type=number, nargs=2, metavar=("MIN", "MAX"), help="sector to cover (the full circle)"
+    )
+    for axis in ("pitch", "roll", "yaw"):
+        default = getattr(DEFAULT_TOLERANCE, f"{axis}_deg")
+        group.add_argument(
+            f"--tolerance-{axis}", type=number, metavar="DEG", help=f"largest {axis} error ({default:g})"
+        )
+    group.add_argument(
+        "--guarantee", choices=("coverage", "all"), help="what holds for every error: coverage, or the overlaps too"
+    )
+    group.add_argument(
+        "--mask",
+        type=number,
+        nargs=4,
+        action="append",
+        metavar=("E_MIN", "E_MAX", "A_MIN", "A_MAX"),
+        help="directions that need no coverage, such as the landing gear (repeatable)",
+    )
+
+
+def add_gimbal_arguments(parser: argparse.ArgumentParser) -> None:
+    """Where the gimbal can point and how fast."""
+    group = parser.add_argument_group("gimbal")
+    group.add_argument("--gimbal-pitch", type=number, nargs=2, metavar=("MIN", "MAX"), help="pitch limits (-90 90)")
+    group.add_argument(
+        "--gimbal-pan", type=number, nargs=2, metavar=("MIN", "MAX"), help="pan limits with end stops (endless)"
+    )
+    group.add_argument(
+        "--gimbal-rate", type=positive, nargs=2, metavar=("PITCH", "YAW"), help="degrees a second (60 90)"
+    )
+
+
+def add_method_arguments(parser: argparse.ArgumentParser) -> None:
+    """How the plan is made."""
+    group = parser.add_argument_group("method")
+    group.add_argument("--method", choices=METHODS, default="certified", help="planner (certified)")
+    group.add_argument("--columns", type=count, metavar="N", help="for hdrpano: images at the horizon")
+    group.add_argument("--rows", type=count, metavar="N", help="for hdrpano: rows")
+    group.add_argument("--order", choices=ORDERS, default="fastest", help="order of shooting (fastest)")
+
+
+def profile_of(args: argparse.Namespace) -> CameraProfile:
+    """The camera profile asked for."""
+    return load_profile(args.camera, orientation=args.orientation, focal_length_mm=args.focal_length)
+
+
+def constraints_of(args: argparse.Namespace, base: Constraints | None = None) -> Constraints:
+    """The constraints asked for; what is not asked for comes from `base`, else from the defaults."""
+    band = base.band if base else Band(elevation_min_deg=DEFAULT_ELEVATION_DEG[0], elevation_max_deg=30.0)
+    tolerance = base.tolerance if base else DEFAULT_TOLERANCE
+    overlaps = (base.overlap_h, base.overlap_v) if base else (DEFAULT_OVERLAP, DEFAULT_OVERLAP)
+    elevation = args.elevation or (band.elevation_min_deg, band.elevation_max_deg)
+    azimuth = args.azimuth or (band.azimuth_min_deg, band.azimuth_max_deg)
+    return Constraints(
+        overlap_h=_first(args.overlap_h, args.overlap, overlaps[0]),
+        overlap_v=_first(args.overlap_v, args.overlap, overlaps[1]),
+        band=Band(
+            elevation_min_deg=elevation[0],
+            elevation_max_deg=elevation[1],
+            azimuth_min_deg=azimuth[0],
+            azimuth_max_deg=azimuth[1],
+        ),
+        tolerance=Tolerance(
+            pitch_deg=_first(args.tolerance_pitch, tolerance.pitch_deg),
+            roll_deg=_first(args.tolerance_roll, tolerance.roll_deg),
+            yaw_deg=_first(args.tolerance_yaw, tolerance.yaw_deg),
+        ),
+        guarantee=args.guarantee or (base.guarantee if base else "coverage"),
+        masks=_masks(args) or (base.masks if base else ()),
+        gimbal=_gimbal(args) if hasattr(args, "gimbal_pitch") else None,
+    )
+
+
+def timing_of(profile: CameraProfile) -> Timing:
+    """What a shot costs with this camera."""
+    return Timing(exposure_s=profile.max_exposure_s, interval_s=profile.min_interval_s)
+
+
+def make_plan(args: argparse.Namespace, camera: Camera, constraints: Constraints, timing: Timing) -> Plan:
+    """The plan by the method asked for, certified (or found wanting), ordered and estimated.
+
+    Raises:
+        PlanningError: no plan can satisfy the constraints.
+    """
+    if args.method == "certified":
+        return plan_certified(camera, constraints, timing=timing, order=args.order)
+    if args.method == "hdrpano":
+        if not (args.columns and args.rows):
+            raise UsageError("--method hdrpano needs --columns N and --rows N (the paper has 8 and 4, 21 and 10)")
+        plan = plan_hdrpano(camera, constraints, columns=args.columns, rows=args.rows)
+    else:
+        plan = plan_paper(camera, constraints)
+    return finished(plan, timing, order=args.order)
+
+
+def finished(plan: Plan, timing: Timing, *, order: str | None = None) -> Plan:
+    """The plan with its shots in order, its certificate and its estimate."""
+    limits = plan.constraints.gimbal or GimbalLimits()
+    if order is not None:
+        plan = replace(plan, shots=order_shots(plan.shots, limits, timing, order=order))
+    return replace(
+        plan,
+        certificate=plan.certificate or certify(plan),
+        estimate=estimate(plan.shots, plan.camera, limits, timing),
+    )
+
+
+def _first(*values: float | None) -> float:
+    return next(value for value in values if value is not None)
+
+
+def _masks(args: argparse.Namespace) -> tuple[AngleBox, ...]:
+    return tuple(
+        AngleBox(elevation_min_deg=e0, elevation_max_deg=e1, azimuth_min_deg=a0, azimuth_max_deg=a1)
+        for e0, e1, a0, a1 in args.mask or ()
+    )
+
+
+def _gimbal(args: argparse.Namespace) -> GimbalLimits | None:
+    if not (args.gimbal_pitch or args.gimbal_pan or args.gimbal_rate):
+        return None
+    default = GimbalLimits()
+    pitch = args.gimbal_pitch or (default.pitch_min_deg, default.pitch_max_deg)
+    pan = args.gimbal_pan or (default.yaw_min_deg, default.yaw_max_deg)
+    rate = args.gimbal_rate or (default.pitch_rate_deg_s, default.yaw_rate_deg_s)
+    return GimbalLimits(
+        pitch_min_deg=pitch[0],
+        pitch_max_deg=pitch[1],
+        yaw_min_deg=pan[0],
+        yaw_max_deg=pan[1],
+        pitch_rate_deg_s=rate[0],
+        yaw_rate_deg_s=rate[1],
+        yaw_endless=args.gimbal_pan is None,
+    )
