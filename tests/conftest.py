@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import inspect
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 
 import pytest
 
@@ -23,8 +23,7 @@ async def _no_task_left() -> AsyncIterator[None]:
 
 
 @pytest.fixture(autouse=True)
-def no_leaked_tasks(request: pytest.FixtureRequest) -> Iterator[None]:
+def no_leaked_tasks(request: pytest.FixtureRequest) -> None:
     """Fail an asynchronous test that leaves tasks running once its own fixtures are gone."""
     if inspect.iscoroutinefunction(getattr(request.node, "obj", None)):
         request.getfixturevalue("_no_task_left")
-    yield

@@ -1,0 +1,238 @@
+"""The journal of a mission: its events, on disk before they are announced, so that nothing is lost with the process.
+
+One SQLite file (`journal.sqlite`) in the mission's directory, in WAL mode with synchronous FULL: what `append` returned
+from survives kill -9 and power cuts. The plan and the settings that the mission began with are kept as JSON texts. The
+file is held exclusively; a second process gets an error, not a second mission.
+
+Layout, version 1: `application_id` names the file as ours, `user_version` is the layout's version; table `head` (key,
+value), table `events` (seq, type, time_utc_s, json).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import sqlite3
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Self, TypeVar
+
+from panoexec.errors import MissionError, UsageError
+from panoexec.events import Event, event_from_json
+
+APPLICATION_ID = 0x50414E4F
+"""`PANO`."""
+SCHEMA_VERSION = 1
+SCHEMA = """
+CREATE TABLE head (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
+CREATE TABLE events (seq INTEGER PRIMARY KEY, type TEXT NOT NULL, time_utc_s REAL NOT NULL, json TEXT NOT NULL) STRICT;
+"""
+
+T = TypeVar("T")
+
+
+class JournalFileError(UsageError):
+    """A journal that cannot be opened or made; nothing was written to it."""
+
+
+class JournalWriteError(MissionError):
+    """A journal that was open cannot be written any more; the mission must end."""
+
+    exit_code = 3
+
+
+class SqliteJournal:
+    """An open journal; use `create` or `open`, and close it (it is an asynchronous context manager).
+
+    All work is done in a thread of its own; every method may be cancelled, the work then ends by itself.
+    """
+
+    def __init__(self, path: Path, pool: ThreadPoolExecutor, connection: sqlite3.Connection) -> None:
+        self.path = path
+        self._pool = pool
+        self._connection = connection
+        stat = path.stat()
+        self._identity = (stat.st_dev, stat.st_ino)
+        self._closed = False
+
+    @classmethod
+    async def create(cls, path: Path, head: Mapping[str, str]) -> Self:
+        """Make a new journal.
+
+        Args:
+            path: a file that does not exist, in a folder that does.
+            head: what never changes: `mission_id`, `plan`, `settings`, … as texts.
+
+        Raises:
+            JournalFileError: the file exists, or cannot be made.
+        """
+        return await cls._in_thread(path, lambda: _create(path, head))
+
+    @classmethod
+    async def open(cls, path: Path) -> Self:
+        """Open a journal to go on with its mission.
+
+        Raises:
+            JournalFileError: there is none, it is damaged, of a newer version, not ours, or in use.
+        """
+        return await cls._in_thread(path, lambda: _open(path))
+
+    @classmethod
+    async def _in_thread(cls, path: Path, connect: Callable[[], sqlite3.Connection]) -> Self:
+        pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="journal")
+        try:
+            connection = await asyncio.get_running_loop().run_in_executor(pool, connect)
+        except BaseException:
+            pool.shutdown(wait=False)
+            raise
+        return cls(path, pool, connection)
+
+    async def __aenter__(self) -> Self:
+        """Itself."""
+        return self
+
+    async def __aexit__(self, *exc: object) -> None:
+        """Close."""
+        await self.close()
+
+    async def close(self) -> None:
+        """Fold what was written into the file proper and let it go; a second time does nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        await asyncio.get_running_loop().run_in_executor(self._pool, self._connection.close)
+        self._pool.shutdown(wait=False)
+
+    async def append(self, events: Sequence[Event]) -> None:
+        """Keep events, all or none; they are on disk when this returns.
+
+        Raises:
+            JournalWriteError: the disk is full, or the file has been deleted or replaced.
+        """
+        rows = [(e.seq, e.type, e.time_utc_s, json.dumps(e.to_json(), separators=(",", ":"))) for e in events]
+        await self._run(lambda: self._write(rows))
+
+    async def events(self) -> list[Event]:
+        """All events, in order.
+
+        Raises:
+            JournalFileError: one cannot be read: the journal is damaged.
+        """
+        return await self._run(lambda: _read_events(self.path, self._connection))
+
+    async def head(self) -> dict[str, str]:
+        """What the journal was created with."""
+        return await self._run(lambda: dict(self._connection.execute("SELECT key, value FROM head").fetchall()))
+
+    def _write(self, rows: Sequence[tuple[int, str, float, str]]) -> None:
+        try:
+            stat = self.path.stat()
+        except OSError:
+            raise JournalWriteError(f"{self.path}: the journal was deleted while the mission was running") from None
+        if (stat.st_dev, stat.st_ino) != self._identity:
+            raise JournalWriteError(f"{self.path}: the journal was replaced while the mission was running")
+        try:
+            with self._connection:
+                self._connection.executemany("INSERT INTO events VALUES (?, ?, ?, ?)", rows)
+        except sqlite3.Error as error:
+            raise JournalWriteError(f"{self.path}: the journal cannot be written ({error})") from error
+
+    async def _run(self, work: Callable[[], T]) -> T:
+        if self._closed:
+            raise JournalWriteError(f"{self.path}: the journal is closed")
+        return await asyncio.get_running_loop().run_in_executor(self._pool, work)
+
+
+def _create(path: Path, head: Mapping[str, str]) -> sqlite3.Connection:
+    if path.exists():
+        raise JournalFileError(f"{path}: exists already; a new mission needs a new directory")
+    try:
+        descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o644)
+        os.close(descriptor)
+        # made whole before WAL mode begins: from then on changes live in another file until they are folded in, and a
+        # journal that was killed young must still be recognised by its header
+        with contextlib.closing(sqlite3.connect(path)) as young:
+            young.execute("PRAGMA synchronous = FULL")
+            young.executescript(f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {SCHEMA_VERSION};")
+            young.executescript(f"BEGIN; {SCHEMA} COMMIT;")
+            with young:
+                young.executemany("INSERT INTO head VALUES (?, ?)", list(head.items()))
+        _sync_folder(path.parent)
+        connection = _connect(path)
+    except OSError as error:
+        raise JournalFileError(f"{path}: cannot be made ({error.strerror})") from error
+    except sqlite3.Error as error:
+        raise JournalFileError(f"{path}: cannot be made ({error})") from error
+    return connection
+
+
+def _open(path: Path) -> sqlite3.Connection:
+    if not path.is_file():
+        raise JournalFileError(f"{path}: there is no journal; only a mission directory with one can be resumed")
+    _check_file(path)
+    try:
+        connection = _connect(path)
+        damaged = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+    except sqlite3.OperationalError as error:
+        if "locked" in str(error):
+            raise JournalFileError(f"{path}: in use by another panoexec; stop that one first") from error
+        raise JournalFileError(f"{path}: cannot be opened ({error})") from error
+    except sqlite3.DatabaseError as error:
+        raise JournalFileError(f"{path}: damaged ({error}); it was left as it is") from error
+    if damaged != "ok":
+        connection.close()
+        raise JournalFileError(f"{path}: damaged ({damaged}); it was left as it is")
+    return connection
+
+
+def _check_file(path: Path) -> None:
+    """Refuse what is not ours, or newer, by the file's header alone: nothing is opened, nothing can change."""
+    try:
+        with path.open("rb") as file:
+            header = file.read(100)
+    except OSError as error:
+        raise JournalFileError(f"{path}: cannot be read ({error.strerror})") from error
+    # the database header: magic at 0, user version at 60, application id at 68, big endian
+    if len(header) < 100 or header[:16] != b"SQLite format 3\x00":
+        raise JournalFileError(f"{path}: damaged or no journal (not an SQLite file); it was left as it is")
+    application, version = int.from_bytes(header[68:72]), int.from_bytes(header[60:64])
+    if application != APPLICATION_ID:
+        raise JournalFileError(f"{path}: an SQLite file, but not a journal of panoexec")
+    if version > SCHEMA_VERSION:
+        raise JournalFileError(
+            f"{path}: written by a newer panoexec (layout {version}, this one reads up to {SCHEMA_VERSION});"
+            " update panoexec to resume it"
+        )
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    connection = sqlite3.connect(path, timeout=1.0, check_same_thread=False)
+    connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute("PRAGMA synchronous = FULL")
+    connection.execute("BEGIN EXCLUSIVE")  # takes the lock now, not at the first write
+    connection.execute("COMMIT")
+    return connection
+
+
+def _read_events(path: Path, connection: sqlite3.Connection) -> list[Event]:
+    try:
+        rows = connection.execute("SELECT json FROM events ORDER BY seq").fetchall()
+        events = [event_from_json(json.loads(text)) for (text,) in rows]
+    except (sqlite3.Error, ValueError) as error:
+        raise JournalFileError(f"{path}: damaged ({error}); it was left as it is") from error
+    wrong = next((i for i, event in enumerate(events, start=1) if event.seq != i), None)
+    if wrong is not None:
+        raise JournalFileError(f"{path}: damaged (event {wrong} is missing); it was left as it is")
+    return events
+
+
+def _sync_folder(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,98 @@
+"""Where a mission lives: `<storage>/missions/<mission_id>/`, and what its files are called."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from panoexec.errors import UsageError
+
+_ID = re.compile(r"\d{8}T\d{6}\.\d{3}Z")
+
+
+@dataclass(frozen=True, slots=True)
+class MissionDirectory:
+    """The files of one mission."""
+
+    path: Path
+
+    @property
+    def mission_id(self) -> str:
+        """The mission's name, which is the directory's."""
+        return self.path.name
+
+    @property
+    def plan(self) -> Path:
+        """The plan as it was asked for."""
+        return self.path / "plan.json"
+
+    @property
+    def manifest(self) -> Path:
+        """What was flown."""
+        return self.path / "manifest.json"
+
+    @property
+    def journal(self) -> Path:
+        """What a mission resumes from."""
+        return self.path / "journal.sqlite"
+
+    @property
+    def images(self) -> Path:
+        """Photos that the camera hands over."""
+        return self.path / "images"
+
+
+def new_mission_directory(storage: Path, *, now_utc_s: float) -> MissionDirectory:
+    """Make the directory of a new mission; its name is the UTC time to the millisecond, so that names sort by time.
+
+    Raises:
+        UsageError: it cannot be made; the message names the directory and the system's reason.
+    """
+    missions = storage / "missions"
+    try:
+        missions.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _unusable(missions, error) from error
+    moment = datetime.fromtimestamp(now_utc_s, UTC)
+    while True:
+        path = missions / _name(moment)
+        try:
+            path.mkdir()
+        except FileExistsError:
+            moment += timedelta(milliseconds=1)
+            continue
+        except OSError as error:
+            raise _unusable(path, error) from error
+        return MissionDirectory(path)
+
+
+def existing_mission_directory(path: Path) -> MissionDirectory:
+    """The directory of a mission, as a user names it.
+
+    Raises:
+        UsageError: it is no directory, or holds no mission.
+    """
+    directory = MissionDirectory(path.resolve())
+    if not path.is_dir():
+        raise UsageError(f"{path}: no such directory; name a mission's, <storage>/missions/<mission_id>")
+    if not directory.journal.exists() and not directory.manifest.exists():
+        raise UsageError(f"{path}: holds no mission (neither journal.sqlite nor manifest.json)")
+    return directory
+
+
+def mission_directories(storage: Path) -> list[MissionDirectory]:
+    """All missions of a storage, oldest first; empty if there are none."""
+    missions = storage / "missions"
+    if not missions.is_dir():
+        return []
+    return [MissionDirectory(path) for path in sorted(missions.iterdir()) if _ID.fullmatch(path.name) and path.is_dir()]
+
+
+def _name(moment: datetime) -> str:
+    return f"{moment:%Y%m%dT%H%M%S}.{moment.microsecond // 1000:03d}Z"
+
+
+def _unusable(path: Path, error: OSError) -> UsageError:
+    return UsageError(f"{path}: cannot be made ({error.strerror}); name a folder that can be written")
