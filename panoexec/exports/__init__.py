@@ -1,0 +1,88 @@
+"""Files for other programs: stitchers, spreadsheets, ground stations; of a plan, or of a mission as flown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Final
+
+from panoexec.errors import UsageError
+from panoexec.exports.hugin import hugin_text
+from panoexec.exports.model import PLACEHOLDER, ExportSet, ExportShot, from_plan, local_name
+from panoexec.exports.papywizard import papywizard_text
+from panoexec.exports.qgc_plan import qgc_text
+from panoexec.exports.shots_csv import csv_text
+from panoexec.exports.xmp_files import gpano_text, write_sidecars
+from panoexec.files import write_atomically
+from panoexec.planning.model import Plan
+
+__all__ = [
+    "FORMATS",
+    "PLACEHOLDER",
+    "ExportSet",
+    "ExportShot",
+    "check_format",
+    "export",
+    "from_plan",
+    "local_name",
+    "write_exports",
+]
+
+FORMATS: Final[Mapping[str, Callable[[ExportSet], str]]] = {
+    "pto": hugin_text,
+    "papywizard": papywizard_text,
+    "csv": csv_text,
+    "qgc": qgc_text,
+}
+"""What `plan --export FORMAT=FILE` knows."""
+
+
+def check_format(format_name: str) -> None:
+    """Refuse a format that is not known, before any work is done.
+
+    Raises:
+        UsageError: it is none of `FORMATS`.
+    """
+    if format_name not in FORMATS:
+        raise UsageError(f"--export {format_name}: unknown format; accepted are {', '.join(FORMATS)}")
+
+
+def export(format_name: str, plan: Plan, path: Path) -> None:
+    """Write a plan for another program, with planned attitudes and placeholder file names.
+
+    Args:
+        format_name: one of `FORMATS`.
+        plan: the plan.
+        path: the file to write.
+
+    Raises:
+        UsageError: an unknown format, a plan without shots, or the file cannot be written.
+    """
+    check_format(format_name)
+    write_atomically(path, FORMATS[format_name](from_plan(plan)))
+
+
+def write_exports(exports: ExportSet, folder: Path) -> list[Path]:
+    """Write what a mission leaves for stitchers into its directory.
+
+    `panorama.pto`, `papywizard.xml`, `shots.csv`, `panorama.xmp` (GPano values for the stitched file) and a sidecar an
+    image. Without a single image only the table is written.
+
+    Args:
+        exports: accepted photos with their measured attitudes, in the order taken.
+        folder: the mission directory.
+
+    Returns:
+        The files written.
+
+    Raises:
+        UsageError: one cannot be written.
+    """
+    texts = {"shots.csv": csv_text(exports)}
+    if exports.shots:
+        texts["panorama.pto"] = hugin_text(exports)
+        texts["papywizard.xml"] = papywizard_text(exports)
+        texts["panorama.xmp"] = gpano_text(exports)
+    for name, text in texts.items():
+        write_atomically(folder / name, text)
+    return [folder / name for name in texts] + write_sidecars(exports, folder)

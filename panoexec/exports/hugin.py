@@ -1,0 +1,68 @@
+"""Hugin project: one line an image with its attitude, one shared lens, an equirectangular canvas of true size."""
+
+from __future__ import annotations
+
+import math
+
+from panoexec.errors import UsageError
+from panoexec.exports.model import ExportSet, ExportShot
+from panoexec.pto import PtoProject, pto_image, render_pto, turn_of_orientation
+
+
+def stored_size_px(exports: ExportSet) -> tuple[int, int]:
+    """Width and height of the photos as stored: of the first file that was seen, else the camera profile's.
+
+    They all come from one camera, so one size stands for all.
+    """
+    seen = next((shot for shot in exports.shots if shot.width_px and shot.height_px), None)
+    if seen is not None:
+        return seen.width_px, seen.height_px
+    return exports.camera.image_width_px, exports.camera.image_height_px
+
+
+def canvas_px(exports: ExportSet) -> tuple[int, int]:
+    """Size of the whole sphere at the photos' resolution; even, as Hugin's tools make it anyway."""
+    camera = exports.camera
+    scale = max(stored_size_px(exports)) / max(camera.image_width_px, camera.image_height_px)
+    half = math.ceil(camera.panorama_px()[0] * scale / 2)
+    return 2 * half, half
+
+
+def hugin_project(exports: ExportSet) -> PtoProject:
+    """The project: azimuth 0, the middle of the canvas, is the plan's yaw reference.
+
+    Raises:
+        UsageError: there are no images.
+    """
+    if not exports.shots:
+        raise UsageError("a Hugin project needs at least one image; there is no accepted photo yet")
+    camera = exports.camera
+    width, height = stored_size_px(exports)
+    turned = width != height and (height > width) != camera.is_portrait
+    images = tuple(
+        pto_image(shot.name, width, height, shot.rotation, turn_deg=_turn(shot, turned)) for shot in exports.shots
+    )
+    return PtoProject(
+        images=images,
+        # across the stored width, which is the upright image's height if the pixels are turned
+        hfov_deg=camera.vfov_deg if turned else camera.hfov_deg,
+        canvas_px=canvas_px(exports),
+    )
+
+
+def hugin_text(exports: ExportSet) -> str:
+    """The `.pto` file's text.
+
+    Raises:
+        UsageError: see `hugin_project`.
+    """
+    try:
+        return render_pto(hugin_project(exports))
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+
+
+def _turn(shot: ExportShot, turned: bool) -> float:
+    """By how much the stored pixels are turned: EXIF says so, or their shape does for a camera that writes no EXIF."""
+    turn = turn_of_orientation(shot.orientation)
+    return turn if turn or not turned else 90.0
