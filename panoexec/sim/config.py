@@ -165,6 +165,7 @@ class SimConfig:
         output: directory for images and truth log; None writes no images.
         attach_url: `tcp:HOST:PORT`, `udpout:HOST:PORT` or `udpin:HOST:PORT` of an autopilot to join with the payload.
         system_id: of the vehicle.
+        payload_boot_s: how long after the autopilot the payload booted; its boot clock counts from there.
         step_s: of the physics.
     """
 
@@ -181,6 +182,7 @@ class SimConfig:
     output: Path | None = None
     attach_url: str | None = None
     system_id: int = 1
+    payload_boot_s: float = 0.25
     step_s: float = 0.005
     gimbal: GimbalConfig = field(default_factory=GimbalConfig)
     camera: CameraConfig = field(default_factory=CameraConfig)

@@ -171,7 +171,7 @@ class GimbalPhysics:
         )
 
     def slip(self, yaw_deg: float, pitch_deg: float, hold_s: float) -> None:
-        """Let the pointing run away by so much within 0.1 s, stay for `hold_s`, and come back (fault `drift`)."""
+        """Let the pointing run away by so much within 0.04 s, stay for `hold_s`, and come back (fault `drift`)."""
         self._slip = _Slip(yaw_deg=yaw_deg, pitch_deg=pitch_deg, start_s=self.time_s, hold_s=hold_s)
 
     def step(self, vehicle_yaw_deg: float) -> None:
@@ -230,13 +230,28 @@ class GimbalPhysics:
     @property
     def truth(self) -> Angles:
         """Where the camera really points; yaw from true north."""
-        yaw, roll, pitch = self.estimate
-        return Angles(yaw - self.heading_error_deg, roll, pitch)
+        return self.truth_at(self.time_s)
+
+    def truth_at(self, t_s: float) -> Angles:
+        """`truth` at a moment at most one step away from the last."""
+        angles, rates, ahead = self.estimate, self.rates, t_s - self.time_s
+        return Angles(
+            angles.yaw_deg - self._heading_error.at(t_s) + rates.yaw_deg_s * ahead,
+            angles.roll_deg + rates.roll_deg_s * ahead,
+            angles.pitch_deg + rates.pitch_deg_s * ahead,
+        )
+
+    @property
+    def nose_deg(self) -> float:
+        """The vehicle's heading as it is estimated, counted through any number of turns."""
+        return self._nose_deg
 
     @property
     def rates(self) -> Rates:
         """Rates of the axes against the world."""
-        return Rates(self._yaw.rate_deg_s, self._roll.rate_deg_s, self._pitch.rate_deg_s)
+        now, before = self._slip.at(self.time_s), self._slip.at(self.time_s - self._step_s)
+        yaw_slip, pitch_slip = ((a - b) / self._step_s for a, b in zip(now, before, strict=True))
+        return Rates(self._yaw.rate_deg_s + yaw_slip, self._roll.rate_deg_s, self._pitch.rate_deg_s + pitch_slip)
 
     def measure(self) -> Angles:
         """One report: the estimate with fresh encoder noise."""
@@ -255,7 +270,7 @@ class _Slip:
     pitch_deg: float = 0.0
     start_s: float = -math.inf
     hold_s: float = 0.0
-    ramp_s: float = 0.1
+    ramp_s: float = 0.04
     back_s: float = 0.4
 
     def at(self, t_s: float) -> tuple[float, float]:

@@ -21,12 +21,17 @@ Action: TypeAlias = Callable[[], None]
 
 
 class SimClock:
-    """Maps the wall to simulated seconds since the vehicle booted, `speedup` of them a second."""
+    """Maps the wall to simulated seconds since the start, `speedup` of them a second.
+
+    Attributes:
+        jump_s: what is wrong with its UTC (fault).
+    """
 
     def __init__(self, speedup: float = 1.0, *, monotonic: Callable[[], float] = time.monotonic) -> None:
         if not (speedup > 0 and math.isfinite(speedup)):
             raise ValueError(f"speedup must be positive, got {speedup}")
         self.speedup = speedup
+        self.jump_s = 0.0
         self._monotonic = monotonic
         self._start = monotonic()
         self._start_utc = time.time()
@@ -41,7 +46,7 @@ class SimClock:
 
     def utc(self, simulated_s: float) -> float:
         """UTC, seconds since 1970, of a simulated moment: when it really happens on the wall."""
-        return self._start_utc + simulated_s / self.speedup
+        return self._start_utc + simulated_s / self.speedup + self.jump_s
 
 
 def seeded(seed: int, name: str) -> random.Random:

@@ -1,0 +1,54 @@
+"""The payload on the wire: a MAVLink gimbal (component 154) and a MAVLink camera (component 100) that share one link.
+
+It neither knows nor cares whether the autopilot at the other end is the embedded one or a real ArduPilot with
+`MNT1_TYPE` 6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from panoexec.sim.camera import Exposure
+from panoexec.sim.camera_component import CameraComponent, Fix
+from panoexec.sim.config import SimConfig
+from panoexec.sim.faults import Faults
+from panoexec.sim.gimbal import GimbalPhysics
+from panoexec.sim.gimbal_component import GimbalComponent
+from panoexec.sim.wire import Link, Message
+from panoexec.sim.world import SimClock, Timeline
+
+
+class Payload:
+    """Gimbal and camera on one link.
+
+    Attributes:
+        gimbal: component 154.
+        camera: component 100.
+    """
+
+    def __init__(
+        self,
+        config: SimConfig,
+        *,
+        clock: SimClock,
+        timeline: Timeline,
+        physics: GimbalPhysics,
+        faults: Faults,
+        link: Link,
+        develop: Callable[[Exposure, Fix], str],
+    ) -> None:
+        self.gimbal = GimbalComponent(config, timeline=timeline, physics=physics, faults=faults, link=link)
+        self.camera = CameraComponent(
+            config, clock=clock, timeline=timeline, gimbal=self.gimbal, faults=faults, link=link, develop=develop
+        )
+
+    def start(self) -> None:
+        """Start heartbeats and streams."""
+        self.gimbal.start()
+        self.camera.start()
+
+    def receive(self, link: Link, message: Message, frame: bytes) -> None:
+        """Take one message from the link."""
+        del link, frame
+        self.gimbal.receive(message)
+        self.camera.receive(message)
