@@ -1,0 +1,82 @@
+"""Rows of evenly spaced images as shots: what the paper's and HDRpano's planners share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from panoexec.angles import FloatArray, wrap_180
+from panoexec.errors import PlanningError
+from panoexec.planning.model import Band, GimbalLimits, Shot
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """Images of one pitch, evenly spaced: over the full circle from yaw 0, over a sector about its middle.
+
+    Attributes:
+        pitch_deg: of all images of the row.
+        count: images.
+        spacing_deg: the share of the band's azimuths that each image stands in the middle of.
+    """
+
+    pitch_deg: float
+    count: int
+    spacing_deg: float
+
+    @property
+    def is_cap(self) -> bool:
+        """Whether this is a single image straight up or down."""
+        return self.count == 1 and abs(self.pitch_deg) == 90.0
+
+    def yaws(self, band: Band) -> FloatArray:
+        """Yaws (count,) of the row's images, clockwise, in [-180, 180)."""
+        if band.is_full_circle:
+            return wrap_180(np.arange(self.count) * self.spacing_deg)
+        return wrap_180(band.azimuth_min_deg + (np.arange(self.count) + 0.5) * self.spacing_deg)
+
+
+def evenly_spaced(pitch_deg: float, count: int, band: Band) -> Row:
+    """A row of `count` images, spread over the band's azimuths."""
+    return Row(pitch_deg=pitch_deg, count=count, spacing_deg=band.azimuth_span_deg / count)
+
+
+def shots_by_row(rows: Sequence[Row], band: Band) -> tuple[Shot, ...]:
+    """Shots row by row from the top down, to and fro, so that no pan range is ever crossed to begin a row.
+
+    Args:
+        rows: in any order.
+        band: tells where a row begins and ends.
+    """
+    ordered = sorted(rows, key=lambda row: row.pitch_deg)
+    shots: list[Shot] = []
+    for turn, (number, row) in enumerate(reversed(list(enumerate(ordered)))):
+        yaws = row.yaws(band)
+        if band.is_full_circle:
+            yaws = np.sort(yaws)
+        for yaw in yaws[::-1] if turn % 2 else yaws:
+            shots.append(Shot(index=len(shots), row=number, pitch_deg=row.pitch_deg, yaw_deg=float(yaw)))
+    return tuple(shots)
+
+
+def check_reachable(shots: Sequence[Shot], gimbal: GimbalLimits | None) -> None:
+    """Refuse shots beyond the gimbal's limits; a fixed grid cannot bend around them.
+
+    Raises:
+        PlanningError: naming the first shot outside, its angle and the limit.
+    """
+    if gimbal is None:
+        return
+    for shot in shots:
+        if not gimbal.pitch_min_deg <= shot.pitch_deg <= gimbal.pitch_max_deg:
+            raise PlanningError(
+                f"a row at pitch {shot.pitch_deg:.1f}° is needed, the gimbal reaches "
+                f"{gimbal.pitch_min_deg:g} to {gimbal.pitch_max_deg:g}°: ask for a smaller elevation band"
+            )
+        if not gimbal.yaw_endless and not gimbal.yaw_min_deg <= shot.yaw_deg <= gimbal.yaw_max_deg:
+            raise PlanningError(
+                f"a shot at yaw {shot.yaw_deg:.1f}° is needed, the gimbal pans from "
+                f"{gimbal.yaw_min_deg:g} to {gimbal.yaw_max_deg:g}°: ask for a smaller azimuth sector"
+            )
