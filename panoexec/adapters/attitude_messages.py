@@ -1,0 +1,119 @@
+"""From MAVLink's attitude messages to the samples of `devices`. Pure; fields as JSON gives them (NaN is None)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final
+
+from panoexec.devices import AttitudeSample, Quaternion, VehicleAttitude, YawFrame
+from panoexec.planning.model import GimbalLimits
+
+YAW_LOCK: Final = 16
+YAW_IN_VEHICLE_FRAME: Final = 32
+YAW_IN_EARTH_FRAME: Final = 64
+"""GIMBAL_DEVICE_FLAGS."""
+
+_NAN: Final = math.nan
+_UNKNOWN: Final[Quaternion] = (_NAN, _NAN, _NAN, _NAN)
+
+
+def number(value: Any) -> float:
+    """A field as float; NaN where the message holds none (JSON has no NaN: MAVSDK writes null)."""
+    return _NAN if value is None else float(value)
+
+
+def yaw_frame(flags: int) -> YawFrame:
+    """What a gimbal device's attitude is relative to, by GIMBAL_DEVICE_FLAGS.
+
+    Devices that know neither of the frame flags (before their introduction in 2022) are in the earth frame when yaw is
+    locked, else in the vehicle's (GIMBAL_DEVICE_ATTITUDE_STATUS, message 285).
+    """
+    if flags & YAW_IN_EARTH_FRAME:
+        return YawFrame.EARTH
+    if flags & YAW_IN_VEHICLE_FRAME:
+        return YawFrame.VEHICLE
+    return YawFrame.EARTH if flags & YAW_LOCK else YawFrame.VEHICLE
+
+
+def gimbal_sample(fields: Mapping[str, Any], received_s: float, frame: YawFrame | None = None) -> AttitudeSample:
+    """A sample from GIMBAL_DEVICE_ATTITUDE_STATUS (285).
+
+    Args:
+        fields: of the message.
+        received_s: when it arrived, on the mission's clock.
+        frame: overrules the flags, for a mount that states the wrong one.
+
+    Raises:
+        KeyError, TypeError, ValueError: the fields are not those of 285.
+    """
+    w, x, y, z = (number(v) for v in fields["q"])
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
+    rates = [number(fields[f"angular_velocity_{axis}"]) for axis in "xyz"]
+    return AttitudeSample(
+        received_s=received_s,
+        vehicle_s=fields["time_boot_ms"] / 1000.0,
+        # a quaternion of zeros is no attitude; NaN says so to everyone
+        q_wxyz=(w / norm, x / norm, y / norm, z / norm) if norm > 1e-6 else _UNKNOWN,
+        yaw_frame=frame or yaw_frame(int(fields["flags"])),
+        rate_deg_s=math.degrees(math.hypot(*rates)),
+        failure_flags=int(fields["failure_flags"]),
+    )
+
+
+def vehicle_attitude(fields: Mapping[str, Any], received_s: float) -> VehicleAttitude:
+    """The airframe's attitude from ATTITUDE (30): Euler angles 3-2-1 (yaw, pitch, roll), radians, to a quaternion.
+
+    Raises:
+        KeyError, TypeError, ValueError: the fields are not those of 30.
+    """
+    cr, cp, cy = (math.cos(number(fields[axis]) / 2) for axis in ("roll", "pitch", "yaw"))
+    sr, sp, sy = (math.sin(number(fields[axis]) / 2) for axis in ("roll", "pitch", "yaw"))
+    return VehicleAttitude(
+        received_s=received_s,
+        vehicle_s=fields["time_boot_ms"] / 1000.0,
+        q_wxyz=(
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ),
+    )
+
+
+def manager_limits(fields: Mapping[str, Any]) -> GimbalLimits | None:
+    """Limits from GIMBAL_MANAGER_INFORMATION (280, radians; yaw relative to the vehicle); None if it states none."""
+    low, high, left, right = (
+        # single precision radians: a limit of -90° must not come out as -89.999996°
+        round(math.degrees(number(fields[key])), 3)
+        for key in ("pitch_min", "pitch_max", "yaw_min", "yaw_max")
+    )
+    if not (math.isfinite(low + high + left + right) and low < high and left < right):
+        return None
+    return GimbalLimits(
+        pitch_min_deg=low,
+        pitch_max_deg=high,
+        yaw_min_deg=left,
+        yaw_max_deg=right,
+        # 3.14 rad, as some managers write π, is a full circle too
+        yaw_endless=right - left >= 359.5,
+    )
+
+
+def interpolate(earlier: VehicleAttitude, later: VehicleAttitude, fraction: float) -> VehicleAttitude:
+    """The attitude `fraction` of the way between neighbours a few degrees apart, along the chord of their quaternions.
+
+    Args:
+        earlier: at fraction 0.
+        later: at fraction 1.
+        fraction: [0, 1].
+    """
+    a, b = earlier, later
+    sign = 1.0 if sum(p * q for p, q in zip(a.q_wxyz, b.q_wxyz, strict=True)) >= 0 else -1.0
+    w, x, y, z = (p + (sign * q - p) * fraction for p, q in zip(a.q_wxyz, b.q_wxyz, strict=True))
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
+    return VehicleAttitude(
+        received_s=a.received_s + (b.received_s - a.received_s) * fraction,
+        vehicle_s=a.vehicle_s + (b.vehicle_s - a.vehicle_s) * fraction,
+        q_wxyz=(w / norm, x / norm, y / norm, z / norm) if norm > 1e-6 else _UNKNOWN,
+    )

@@ -1,0 +1,117 @@
+"""MAVLink messages by name, from MAVSDK's callback thread to whoever asked for them.
+
+Handlers run in the vendor's thread and must be quick: MAVSDK queues at most 100 callbacks and drops what comes then.
+That, and that `mavsdk.asyncio` wakes the event loop once for each message, is why its generators are not used here.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import structlog
+from mavsdk.plugins.mavlink_direct import MavlinkDirect
+
+from panoexec.clock import Clock
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class MavMessage:
+    """One message.
+
+    Attributes:
+        name: MAVLink's name of it.
+        component_id: the sender's.
+        fields: by MAVLink's names; NaN is None, as JSON has no NaN.
+        received_s: when it arrived, on the mission's clock.
+    """
+
+    name: str
+    component_id: int
+    fields: dict[str, Any]
+    received_s: float
+
+
+Handler: TypeAlias = Callable[[MavMessage], None]
+
+
+class MessageHub:
+    """Fans messages out to handlers; outlives the connection, to which it is attached when there is one."""
+
+    def __init__(self, clock: Clock, post: Callable[..., None]) -> None:
+        """Args: the mission's clock; what calls a function on the event loop from another thread."""
+        self._clock = clock
+        self._post = post
+        self._handlers: dict[str, tuple[Handler, ...]] = {}
+        self._direct: MavlinkDirect | None = None
+        self._subscriptions: dict[str, Any] = {}
+        self._spared: frozenset[str] = frozenset()
+
+    def on(self, name: str, handler: Handler) -> Callable[[], None]:
+        """Call `handler` with each message of that name, in the vendor's thread.
+
+        Returns:
+            What ends it; harmless to call twice.
+        """
+        known = self._handlers.get(name)
+        self._handlers[name] = (*(known or ()), handler)
+        if known is None and self._direct is not None:
+            self._subscribe(name)
+
+        def off() -> None:
+            self._handlers[name] = tuple(h for h in self._handlers[name] if h is not handler)
+
+        return off
+
+    def attach(self, direct: MavlinkDirect) -> None:
+        """Subscribe to everything that handlers wait for."""
+        self._direct = direct
+        for name in self._handlers:
+            self._subscribe(name)
+
+    def detach(self) -> None:
+        """Forget the connection, which ends its subscriptions itself."""
+        self._direct = None
+        self._subscriptions.clear()
+
+    def spare(self, names: Iterable[str]) -> None:
+        """Hear only the first of these messages after each `listen_again`, until called anew.
+
+        A gimbal that is its own component reports 50 times a second, asked or not, and each report that reaches Python
+        costs 0.2 ms of a small computer: too much for a daemon that waits for hours.
+        """
+        self._spared = frozenset(names)
+        self.listen_again()
+
+    def listen_again(self) -> None:
+        """Hear what was spared."""
+        if self._direct is not None:
+            for name in self._handlers:
+                if name not in self._subscriptions:
+                    self._subscribe(name)
+
+    def _subscribe(self, name: str) -> None:
+        def arrived(message: Any, _user_data: object) -> None:
+            received_s = self._clock.monotonic()
+            handlers = self._handlers[name]
+            if name in self._spared:
+                self._post(self._pause, name)
+            if not handlers:
+                return
+            try:
+                parsed = MavMessage(name, message.component_id, json.loads(message.fields_json), received_s)
+                for handler in handlers:
+                    handler(parsed)
+            except (LookupError, TypeError, ValueError) as error:
+                _log.warning("unusable message", name=name, error=repr(error), fields=message.fields_json)
+
+        if self._direct is not None:
+            self._subscriptions[name] = self._direct.subscribe_message(name, arrived)
+
+    def _pause(self, name: str) -> None:
+        if self._direct is not None and name in self._spared and name in self._subscriptions:
+            self._direct.unsubscribe_message(self._subscriptions.pop(name))
