@@ -29,6 +29,8 @@ from panoexec.pointing import (
 
 TRIGGER_BOUND_S = 10.0
 """An adapter answers or gives up long before this."""
+LAST_SLEEP_S = 0.05
+"""The last part of the camera's interval is slept through; before that, samples are watched."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -221,11 +223,10 @@ class Shooter:
             blocker, left_s = clear(), self._interval_left_s()
             if blocker is None and left_s <= 0:
                 return max(tracker.settled_at_s, free_s)
-            if blocker is not None:
-                await blocker.wait()
-            else:
+            if blocker is None and left_s < LAST_SLEEP_S:  # so that the trigger does not wait for one more sample
                 await self.clock.sleep(left_s)
-            fresh, free_s = True, self.clock.monotonic()
+                fresh = True
+            free_s = self.clock.monotonic()
             wait.deadline_s = max(wait.deadline_s, free_s + wait.bound_s)
 
     async def _overdue(self, wait: _Wait) -> None:

@@ -9,8 +9,6 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from panoexec.angles import FloatArray, quaternion_from_rotation, rotation, wrap_180
 from panoexec.clock import Clock
 from panoexec.devices import (
@@ -75,8 +73,10 @@ class FakeFeed:
         return newer[0]
 
     def vehicle_attitude_at(self, sample: AttitudeSample) -> VehicleAttitude | None:
-        near = [v for v in self.vehicle if abs(v.received_s - sample.received_s) <= 0.1]
-        return min(near, key=lambda v: abs(v.received_s - sample.received_s), default=None)
+        for vehicle in reversed(self.vehicle):
+            if vehicle.received_s <= sample.received_s:
+                return vehicle if sample.received_s - vehicle.received_s <= 0.1 else None
+        return None
 
 
 @dataclass
@@ -85,7 +85,7 @@ class FakeGimbal:
 
     clock: Clock
     seed: int = 0
-    rate_hz: float = 50.0
+    rate_hz: float = 25.0
     noise_deg: float = 0.005
     frame: YawFrame = YawFrame.EARTH
     tells_rate: bool = True
@@ -115,6 +115,9 @@ class FakeGimbal:
         self._end: Angles = (0.0, 0.0, 0.0)
         self._since = -math.inf
         self._last: tuple[float, FloatArray] | None = None
+        self._airframe = rotation(*self.vehicle_angles)
+        w, x, y, z = (float(v) for v in quaternion_from_rotation(self._airframe))
+        self._airframe_q = (w, x, y, z)
 
     def _limits(self) -> GimbalLimits:
         return self.limits or GimbalLimits()
@@ -128,11 +131,14 @@ class FakeGimbal:
 
     def true_rotation(self, at_s: float) -> FloatArray:
         """Where the camera really looks: camera to world (NED)."""
+        return rotation(*self._angles(at_s))
+
+    def _angles(self, at_s: float) -> Angles:
         yaw, pitch, roll = self.commanded(at_s)
-        if self.drift is not None:
-            d = self.drift(at_s)
-            yaw, pitch, roll = yaw + d[0], pitch + d[1], roll + d[2]
-        return rotation(yaw, pitch, roll)
+        if self.drift is None:
+            return yaw, pitch, roll
+        d = self.drift(at_s)
+        return yaw + d[0], pitch + d[1], roll + d[2]
 
     async def stream(self) -> None:
         """Report for ever."""
@@ -147,20 +153,17 @@ class FakeGimbal:
             noise = [self._random.gauss(0, self.noise_deg) for _ in range(3)]
             self._last = now, self.true_rotation(now) @ rotation(*noise)
         world = self._last[1]
-        airframe = rotation(*self.vehicle_angles)
-        heading = math.degrees(math.atan2(airframe[1, 0], airframe[0, 0]))
+        airframe = self._airframe
         if self.frame is YawFrame.BODY:
             relative = airframe.T @ world
         elif self.frame is YawFrame.VEHICLE:
-            relative = rotation(-heading, 0.0) @ world
+            relative = rotation(-math.degrees(math.atan2(airframe[1, 0], airframe[0, 0])), 0.0) @ world
         else:
             relative = world
-        w, x, y, z = (float("nan"),) * 4 if self.nan else tuple(float(v) for v in quaternion_from_rotation(relative))
+        w, x, y, z = (float("nan"),) * 4 if self.nan else (float(v) for v in quaternion_from_rotation(relative))
         step = 1e-3
-        moved = self.true_rotation(now - step).T @ self.true_rotation(now)
-        speed = math.degrees(math.acos(min(1.0, max(-1.0, (float(np.trace(moved)) - 1) / 2)))) / step
-        vw, vx, vy, vz = (float(v) for v in quaternion_from_rotation(airframe))
-        self.feed.vehicle.append(VehicleAttitude(now, now, (vw, vx, vy, vz)))
+        speed = math.dist(self._angles(now), self._angles(now - step)) / step
+        self.feed.vehicle.append(VehicleAttitude(now, now, self._airframe_q))
         self.feed.push(
             AttitudeSample(
                 received_s=now,
@@ -225,7 +228,7 @@ class FakeCapture:
         clock = self.camera.clock
         proven = self.level >= at_least and self.proof_s <= self.commanded_s + timeout_s
         until = self.proof_s if proven else self.commanded_s + timeout_s
-        if self.level > EvidenceLevel.ACKNOWLEDGED or at_least > EvidenceLevel.ACKNOWLEDGED:
+        if at_least > EvidenceLevel.ACKNOWLEDGED:
             await clock.sleep(until - clock.monotonic())
         if clock.monotonic() + 1e-9 < self.proof_s:
             return CaptureEvidence(level=EvidenceLevel.ACKNOWLEDGED, received_s=self.acknowledged_s)

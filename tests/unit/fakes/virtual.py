@@ -55,6 +55,11 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         future.add_done_callback(done)
         return future
 
+    async def shutdown_default_executor(self, *args: Any) -> None:
+        self.threads_busy += 1  # threads are joined: real time
+        await super().shutdown_default_executor(*args)
+        self.threads_busy -= 1
+
 
 class VirtualClock:
     """The clock of the running virtual loop."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from panoexec.angles import FloatArray
 from panoexec.events import Event
 from panoexec.mission.executor import Mission
+from panoexec.mission.record import MissionRecord
 from panoexec.mission.settings import GuardSettings, MissionSettings
 from panoexec.optics import Camera
 from panoexec.planning.model import Band, Certificate, Constraints, Plan, Shot, Tolerance
@@ -55,7 +56,8 @@ class FakeVerifier:
     patches: list[Shot] = field(default_factory=list)
 
     async def certify(self, rotations: FloatArray, rows: Sequence[int]) -> Certificate:
-        return a_certificate(certified=len(rotations) >= self.needed, images=len(rotations))
+        enough = len(rotations) >= self.needed
+        return replace(a_certificate(certified=enough, images=len(rotations)), holes=() if enough else self.holes)
 
     async def patch(self, rotations: FloatArray, rows: Sequence[int]) -> Sequence[Shot]:
         out, self.patches = self.patches, []
@@ -101,6 +103,7 @@ class World:
     verifier: FakeVerifier
     plan: Plan
     settings: MissionSettings
+    record: MissionRecord = field(init=False)
 
     def mission(self, *, past: Sequence[Event] = (), **more: Any) -> Mission:
         return Mission(

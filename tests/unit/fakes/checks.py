@@ -1,0 +1,108 @@
+"""What must hold of every mission, however it went: checked against the fakes' own truth."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from panoexec import events as ev
+from panoexec.angles import rotation, rotation_from_quaternion
+from panoexec.mission.record import MissionRecord, ShotStatus, Verdict
+from panoexec.planning.pose_error import pose_error
+from panoexec.pointing import readings_since
+from panoexec.states import ENDED, TRANSITIONS, MissionState
+from tests.unit.fakes.world import World
+
+
+def check_mission(world: World, record: MissionRecord) -> None:
+    """All invariants of an ended or stopped mission."""
+    check_announcements(world, record)
+    check_states(world)
+    check_shots(world, record)
+    check_accepted(world, record)
+    check_end(world, record)
+
+
+def check_announcements(world: World, record: MissionRecord) -> None:
+    """Everything announced was durable, in order, once; the journal alone gives the same record."""
+    journal = world.journal.events
+    assert [event.seq for event in journal] == list(range(1, len(journal) + 1))
+    announced = world.sink.events
+    assert announced == journal[: len(announced)]
+    again = MissionRecord.from_events(mission_id=record.mission_id, shots=world.plan.shots, events=journal)
+    if len(journal) == record.seq:
+        assert again.shots == record.shots
+        assert again.state is record.state
+
+
+def check_states(world: World) -> None:
+    """No illegal transition."""
+    state = MissionState.IDLE
+    for event in world.journal.events:
+        if isinstance(event, ev.MissionStarted):
+            state = MissionState.IDLE
+        assert event.state is state or event.state in TRANSITIONS[state], f"{state} to {event.state}"
+        state = event.state
+
+
+def check_shots(world: World, record: MissionRecord) -> None:
+    """No shot lost or counted twice, and no photo counted for two shots."""
+    assert {shot.index for shot in world.plan.shots} <= set(record.shots)
+    assert record.shots_done + len(record.missing()) == record.shots_total
+    counted = [
+        photo.image_index
+        for shot in record.shots.values()
+        for attempt in shot.attempts
+        if attempt.verdict is Verdict.ACCEPTED
+        for photo in attempt.photos
+        if photo.image_index >= 0
+    ]
+    assert len(counted) == len(set(counted))
+    if record.state is MissionState.COMPLETE and not record.certified:
+        assert not record.missing()
+    if record.state in {MissionState.COMPLETE, MissionState.INCOMPLETE}:
+        left = {ShotStatus.TODO, ShotStatus.ACTIVE, ShotStatus.EXPOSED, ShotStatus.DEFERRED}
+        unfinished = [index for index, shot in record.shots.items() if shot.status in left]
+        finished_early = any(
+            isinstance(event, ev.CommandReceived) and event.command == "finish" for event in world.journal.events
+        )
+        assert not unfinished or finished_early
+
+
+def check_accepted(world: World, record: MissionRecord) -> None:
+    """Every accepted photo really exists, and the camera really looked there while its shutter was open."""
+    tolerance = world.settings.tolerance
+    for shot in record.shots.values():
+        for attempt in shot.attempts:
+            if attempt.verdict is not Verdict.ACCEPTED or attempt.by == "open_loop":
+                continue
+            exposed = attempt.exposed
+            assert exposed is not None
+            assert exposed.pointing_ok or attempt.by == "overlap"
+            assert exposed.measured is not None
+            for photo in attempt.photos:
+                if photo.image_index < 0 or attempt.by == "overlap":
+                    continue
+                taken = world.camera.photos[photo.image_index]
+                samples = readings_since(world.gimbal.feed, taken.exposed_s - 0.1, record.reference_yaw_north_deg)
+                during = [r for r in samples if r.time_s <= taken.ended_s]
+                assert during, "accepted without samples"
+                for reading in during[-3:]:
+                    assert reading.rotation is not None
+                    error = pose_error(attempt.pitch_deg, attempt.yaw_deg, reading.rotation)
+                    assert bool(error.within(tolerance))
+            target = rotation(attempt.yaw_deg, attempt.pitch_deg)
+            cos = (np.trace(target.T @ rotation_from_quaternion(exposed.measured.q_wxyz)) - 1) / 2
+            apart = np.degrees(np.arccos(np.clip(cos, -1, 1)))
+            if attempt.by == "tolerance":
+                assert apart <= tolerance.pitch_deg + tolerance.roll_deg + tolerance.yaw_deg
+
+
+def check_end(world: World, record: MissionRecord) -> None:
+    """The gimbal is not ours any more, and the last event says how it ended."""
+    assert record.state in ENDED | {MissionState.PAUSED}
+    if not world.gimbal.release_hangs:
+        assert not world.gimbal.in_control
+    last = world.journal.events[-1]
+    assert isinstance(last, ev.MissionFinished | ev.MissionPaused)
+    if world.gimbal.acquired:
+        assert any(isinstance(event, ev.GimbalReleased) for event in world.journal.events)
