@@ -27,7 +27,8 @@ def _line(problem: dict[str, Any]) -> str:
         return f"{key} is not a known key"
     if kind == "value_error":
         # raised by our own validators, whose text says it all
-        return f"{key}: {problem['ctx']['error']}"
+        text = str(problem["ctx"]["error"])
+        return f"{key}: {text}" if problem["loc"] else text
     message = str(problem["msg"])
     return f"{key} is {shown(problem['input'])}: {message[:1].lower()}{message[1:]}"
 
