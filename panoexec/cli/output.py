@@ -10,12 +10,16 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
+_FILE_WIDTH = 160
+
 
 def console(*, stderr: bool = False) -> Console:
     """A rich console, imported only when something is shown to a person."""
     from rich.console import Console  # noqa: PLC0415
 
-    return Console(stderr=stderr, highlight=False, soft_wrap=not (sys.stderr if stderr else sys.stdout).isatty())
+    is_terminal = (sys.stderr if stderr else sys.stdout).isatty()
+    # a file or a pipe has no width: tables there are as wide as they like
+    return Console(stderr=stderr, highlight=False, width=None if is_terminal else _FILE_WIDTH)
 
 
 def print_json(document: object) -> None:
@@ -48,7 +52,7 @@ def print_table(
     table.caption_justify = "left"
     left_columns = set(left)
     for column in columns:
-        table.add_column(column, justify="left" if column in left_columns else "right", overflow="fold")
+        table.add_column(column, justify="left" if column in left_columns else "right", no_wrap=column in left_columns)
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
     console().print(table)
