@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from panoexec.errors import UsageError
+from panoexec.exports.from_manifest import export_set
 from panoexec.exports.hugin import hugin_text
 from panoexec.exports.model import PLACEHOLDER, ExportSet, ExportShot, from_plan, local_name
 from panoexec.exports.papywizard import papywizard_text
@@ -22,7 +23,8 @@ __all__ = [
     "ExportSet",
     "ExportShot",
     "check_format",
-    "export",
+    "export_plan",
+    "export_set",
     "from_plan",
     "local_name",
     "write_exports",
@@ -47,7 +49,7 @@ def check_format(format_name: str) -> None:
         raise UsageError(f"--export {format_name}: unknown format; accepted are {', '.join(FORMATS)}")
 
 
-def export(format_name: str, plan: Plan, path: Path) -> None:
+def export_plan(format_name: str, plan: Plan, path: Path) -> None:
     """Write a plan for another program, with planned attitudes and placeholder file names.
 
     Args:

@@ -15,7 +15,16 @@ from hypothesis import strategies as st
 
 from panoexec.angles import quaternion_from_rotation, rotation, rotation_321, rotation_from_quaternion, wrap_180
 from panoexec.errors import UsageError
-from panoexec.exports import FORMATS, ExportSet, ExportShot, check_format, export, from_plan, local_name, write_exports
+from panoexec.exports import (
+    FORMATS,
+    ExportSet,
+    ExportShot,
+    check_format,
+    export_plan,
+    from_plan,
+    local_name,
+    write_exports,
+)
 from panoexec.exports.hugin import hugin_project
 from panoexec.exports.papywizard import papywizard_angles, papywizard_text
 from panoexec.exports.qgc_plan import qgc_text
@@ -65,7 +74,7 @@ def exports(*shots: ExportShot, **changes: object) -> ExportSet:
 
 
 def test_a_plan_becomes_a_project_with_planned_angles_and_placeholders(tmp_path: Path) -> None:
-    export("pto", PLAN, tmp_path / "plan.pto")
+    export_plan("pto", PLAN, tmp_path / "plan.pto")
     project = parse_pto((tmp_path / "plan.pto").read_text())
     assert [i.file_name for i in project.images] == ["shot_0000.jpg", "shot_0001.jpg", "shot_0002.jpg"]
     assert [(i.yaw_deg, i.pitch_deg, i.roll_deg) for i in project.images] == [
@@ -247,15 +256,15 @@ def test_a_mission_without_photos_leaves_an_empty_table_only(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("name", list(FORMATS))
 def test_every_format_of_a_plan_is_written_whole(tmp_path: Path, name: str) -> None:
-    export(name, PLAN, tmp_path / "out")
+    export_plan(name, PLAN, tmp_path / "out")
     assert (tmp_path / "out").stat().st_size > 100
     with pytest.raises(UsageError, match="cannot be written"):
-        export(name, PLAN, tmp_path / "gone" / "out")
+        export_plan(name, PLAN, tmp_path / "gone" / "out")
 
 
 def test_unknown_formats_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="unknown format; accepted are pto, papywizard, csv, qgc"):
-        export("ptgui", PLAN, tmp_path / "x")
+        export_plan("ptgui", PLAN, tmp_path / "x")
     check_format("csv")
 
 
