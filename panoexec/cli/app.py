@@ -69,6 +69,14 @@ def run(argv: Sequence[str]) -> int:
         # the reader of a pipe has gone (`panoexec cameras | head`): say nothing, not even at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_DONE
+    except OSError as error:
+        return _report(UsageError(f"{error.filename or 'output'}: {error.strerror or error}"))
+    except Exception as error:
+        # the edge of the program: no traceback ever reaches a user who did not ask for it
+        if os.environ.get("PANOEXEC_TRACEBACK"):
+            raise
+        text = f"internal error, please report it: {type(error).__name__}: {error} (PANOEXEC_TRACEBACK=1 shows where)"
+        return _report(PanoexecError(text))
 
 
 def _report(error: PanoexecError) -> int:
