@@ -192,6 +192,8 @@ class PatchPlanned(Event):
     """Shots were added to close holes that the measured attitudes leave."""
 
     shots: tuple[int, ...]
+    rows: tuple[int, ...]
+    """The row of each that it belongs to, -1 for none."""
     pitch_deg: tuple[float, ...]
     yaw_deg: tuple[float, ...]
     holes: int

@@ -24,7 +24,7 @@ from panoexec.codec import encode
 from panoexec.errors import InputFileError
 from panoexec.files import write_atomically
 from panoexec.mission.record import AttemptRecord, MissionRecord, ShotRecord
-from panoexec.optics import Camera
+from panoexec.planfile import camera_to_data, certificate_to_data
 from panoexec.planning.model import Certificate, Plan
 from panoexec.pointing import pose_of, to_north
 
@@ -114,7 +114,7 @@ class ManifestWriter:
             "state": record.state.value,
             "reason": record.reason,
             "vehicle": dict(self._vehicle),
-            "camera": camera_json(plan.camera),
+            "camera": camera_to_data(plan.camera),
             "reference": {"kind": record.reference, "yaw_north_deg": _number(record.reference_yaw_north_deg)},
             "position": dict(
                 zip(("latitude_deg", "longitude_deg", "altitude_m"), map(_number, record.origin), strict=True)
@@ -135,7 +135,7 @@ class ManifestWriter:
             },
             "open_loop": record.open_loop,
             "warnings": list(record.warnings),
-            "certificate": None if certificate is None else encode(certificate),
+            "certificate": None if certificate is None else certificate_to_data(certificate),
             "conventions": CONVENTIONS,
             "shots": [self._shots[index] for index in sorted(record.shots)],
         }
@@ -157,13 +157,6 @@ def read_manifest(path: Path) -> dict[str, Any]:
     if found != FORMAT:
         raise InputFileError(str(path), [f'format: {found!r} found, "{FORMAT}" expected'])
     return document  # type: ignore[no-any-return]
-
-
-def camera_json(camera: Camera) -> dict[str, Any]:
-    """The camera as in a plan file (CONTRACT), field of view included."""
-    out = encode(camera)
-    out.pop("calibrated_focal_length_mm", None)
-    return out | {"hfov_deg": round(camera.hfov_deg, 4), "vfov_deg": round(camera.vfov_deg, 4)}
 
 
 def iso_utc(time_utc_s: float) -> str | None:

@@ -21,6 +21,7 @@ import numpy as np
 
 from panoexec.angles import (
     FloatArray,
+    angle_between,
     quaternion_from_rotation,
     rotation,
     rotation_from_quaternion,
@@ -240,6 +241,7 @@ class WindowVerdict:
         samples: how many were judged.
         measured: mean attitude of the usable samples; None without one.
         errors: the worst of each error over the usable samples; None likewise.
+        spread_deg: the largest boresight angle between a usable sample and the first: how far it moved.
     """
 
     ok: bool
@@ -248,6 +250,7 @@ class WindowVerdict:
     samples: int
     measured: MeasuredPose | None
     errors: AxisErrors | None
+    spread_deg: float = math.nan
 
 
 def judge_window(
@@ -291,6 +294,7 @@ def judge_window(
         samples=len(judged),
         measured=mean_pose(usable) if usable else None,
         errors=worst_errors(errors) if errors is not None else None,
+        spread_deg=max(float(angle_between(usable[0][:, 0], r[:, 0])) for r in usable) if usable else math.nan,
     )
 
 

@@ -70,13 +70,15 @@ class Ending:
         holes = () if self.certificate is None else self.certificate.holes
         if not holes or record.patch_rounds >= flight.settings.patches:
             return False
-        rotations, rows = record.measured()
+        # what was left out by decision is no hole to be patched
+        rotations, rows = record.measured(also=record.skipped())
         _, shots = await until(flight.control.stopping.wait(), flight.verifier.patch(rotations, rows), "patches")
         if not shots:
             return False
         patches = record.renumbered(shots)
         planned = ev.PatchPlanned(
             shots=tuple(shot.index for shot in patches),
+            rows=tuple(shot.row for shot in patches),
             pitch_deg=tuple(shot.pitch_deg for shot in patches),
             yaw_deg=tuple(shot.yaw_deg for shot in patches),
             holes=len(holes),

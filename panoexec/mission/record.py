@@ -10,9 +10,10 @@ from enum import StrEnum
 import numpy as np
 
 from panoexec import events as ev
-from panoexec.angles import FloatArray, rotation_from_quaternion
+from panoexec.angles import FloatArray, rotation, rotation_from_quaternion
 from panoexec.devices import EvidenceLevel
 from panoexec.planning.model import Shot
+from panoexec.pointing import pose_of
 from panoexec.states import ENDED, MissionState, check_transition
 
 
@@ -173,8 +174,7 @@ class MissionRecord:
 
     def _patch(self, event: ev.PatchPlanned) -> None:
         self.patch_rounds += 1
-        row = max((r.shot.row for r in self.shots.values()), default=-1) + 1
-        for index, pitch, yaw in zip(event.shots, event.pitch_deg, event.yaw_deg, strict=True):
+        for index, row, pitch, yaw in zip(event.shots, event.rows, event.pitch_deg, event.yaw_deg, strict=True):
             shot = Shot(index=index, row=row, pitch_deg=pitch, yaw_deg=yaw)
             self.shots[index] = ShotRecord(shot=shot, patch=True)
 
@@ -270,7 +270,7 @@ class MissionRecord:
         """Measured attitudes of the accepted shots (n, 3, 3), camera to plan frame, and the row of each.
 
         Args:
-            also: shots to be taken as accepted with the pose given.
+            also: shots to be counted too, with the pose given; the last pose given for a shot holds.
         """
         poses: dict[int, ev.MeasuredPose] = {}
         for index, shot in sorted(self.shots.items()):
@@ -282,7 +282,32 @@ class MissionRecord:
         rows = [self.shots[index].shot.row for index in sorted(poses)]
         return (rotation_from_quaternion(q) if rows else np.empty((0, 3, 3))), rows
 
+    def wanted(self) -> list[tuple[int, ev.MeasuredPose]]:
+        """Shots that are still to come, with the poses they are believed to get: measured if exposed, else planned."""
+        coming = {ShotStatus.TODO, ShotStatus.ACTIVE, ShotStatus.DEFERRED, ShotStatus.EXPOSED}
+        out = []
+        for index, shot in sorted(self.shots.items()):
+            if shot.status in coming and shot.accepted is None:
+                attempt = shot.open_attempt
+                exposed = None if attempt is None else attempt.exposed
+                pose = None if exposed is None or not exposed.pointing_ok else exposed.measured
+                out.append((index, pose or planned_pose(shot.shot)))
+        return out
+
+    def skipped(self) -> list[tuple[int, ev.MeasuredPose]]:
+        """Shots that were left out by decision, with their planned poses."""
+        return [
+            (index, planned_pose(shot.shot))
+            for index, shot in sorted(self.shots.items())
+            if shot.status is ShotStatus.SKIPPED
+        ]
+
     def renumbered(self, shots: Sequence[Shot]) -> list[Shot]:
         """The shots with indices that follow the last one of the mission."""
         first = max(self.shots, default=-1) + 1
         return [replace(shot, index=first + i) for i, shot in enumerate(shots)]
+
+
+def planned_pose(shot: Shot) -> ev.MeasuredPose:
+    """The pose of a shot as planned."""
+    return pose_of(rotation(shot.yaw_deg, shot.pitch_deg))

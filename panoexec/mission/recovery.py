@@ -25,7 +25,8 @@ async def settle_open_attempts(flight: Flight) -> None:
         found = await _remembered(flight, record)
         if found is not None:
             photos = (evidence.with_evidence(attempt.photos[0], found),)
-            flight.recorder.emit(ev.ShotAccepted(shot=index, attempt=attempt.number, photos=photos))
+            by = "open_loop" if attempt.exposed is not None and attempt.exposed.open_loop else "tolerance"
+            flight.recorder.emit(ev.ShotAccepted(shot=index, attempt=attempt.number, photos=photos, by=by))
             flight.queue.drop(index)
             continue
         reason = "panoexec stopped before its photo was proven"

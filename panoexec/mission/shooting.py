@@ -13,6 +13,7 @@ from panoexec.mission.flight import Flight
 from panoexec.mission.holding import Holding
 from panoexec.mission.shot_queue import Decision, Task
 from panoexec.mission.waiting import until
+from panoexec.pointing import WindowVerdict
 
 
 class Shooting:
@@ -100,35 +101,60 @@ class Shooting:
             open_loop=self.shooter.open_loop,
         )
         self._keep(exposed)
-        if verdict.ok and not exposure.failure:
+        by = "open_loop" if self.shooter.open_loop else "tolerance" if verdict.ok else "overlap"
+        if not exposure.failure and (verdict.ok or self._may_overlap(verdict)):
             self._outstanding += 1
-            self._group.create_task(self._prove(shot, number, photos, exposure.captures), name=f"evidence of {shot}")
+            proof = self._prove(shot, number, photos, exposure.captures, by=by, verdict=verdict)
+            self._group.create_task(proof, name=f"evidence of {shot}")
             return
         code = "trigger" if exposure.failure else verdict.code
         self._reject(shot, number, code, exposure.failure or verdict.reason, photos)
         self._group.create_task(self._identify(shot, number, photos, exposure.captures), name=f"photo of {shot}")
 
+    def _may_overlap(self, verdict: WindowVerdict) -> bool:
+        """Whether an exposure outside tolerance is sharp and measured, so that the certificate may still take it."""
+        settings = self._flight.settings
+        sharp = verdict.spread_deg <= settings.max_rate_deg_s * settings.exposure_bound_s
+        return settings.accept == "overlap" and verdict.code == "pointing" and sharp
+
+    async def _overlaps(self, shot: int, verdict: WindowVerdict) -> bool:
+        """Whether the certificate holds with this pose as measured, if all that is to come goes as planned."""
+        record = self._flight.record
+        if verdict.measured is None:
+            return False
+        rotations, rows = record.measured(also=[*record.wanted(), (shot, verdict.measured)])
+        return (await self._flight.verifier.certify(rotations, rows)).certified
+
     async def _prove(
-        self, shot: int, number: int, photos: Sequence[ev.Photo], captures: Sequence[PendingCapture]
+        self,
+        shot: int,
+        number: int,
+        photos: Sequence[ev.Photo],
+        captures: Sequence[PendingCapture],
+        *,
+        by: str,
+        verdict: WindowVerdict,
     ) -> None:
-        """Wait for the evidence of an exposure that was well pointed; then it is accepted or taken again."""
+        """Wait for what is missing for a verdict on an exposure, evidence first; then it counts or is taken again."""
         settings = self._flight.settings
         try:
             proven = await evidence.gather(
                 photos, captures, at_least=settings.min_evidence, timeout_s=settings.evidence_s
             )
             level = evidence.weakest(proven)
-            if level >= settings.min_evidence:
-                by = "open_loop" if self.shooter.open_loop else "tolerance"
-                self._keep(ev.ShotAccepted(shot=shot, attempt=number, photos=proven, by=by))
-                self._flight.control.skips.discard(shot)
-                self._flight.pace.accepted(self._flight.clock.monotonic())
-            else:
+            if level < settings.min_evidence:
                 reason = (
                     f"the photo is only {level.name.lower()} after {settings.evidence_s:g} s,"
                     f" {settings.min_evidence.name.lower()} is asked for"
                 )
                 self._reject(shot, number, "evidence", reason, proven)
+            elif by == "overlap" and not await self._overlaps(shot, verdict):
+                reason = f"{verdict.reason}, and the overlaps would not hold with it"
+                self._reject(shot, number, verdict.code, reason, proven)
+            else:
+                self._keep(ev.ShotAccepted(shot=shot, attempt=number, photos=proven, by=by))
+                self._flight.control.skips.discard(shot)
+                self._flight.pace.accepted(self._flight.clock.monotonic())
         finally:
             self._outstanding -= 1
             self._proven.set()

@@ -258,6 +258,30 @@ def test_patches_close_real_holes() -> None:
     assert world.record.certified is True
 
 
+def test_an_exposure_outside_tolerance_counts_when_the_overlaps_hold_as_measured() -> None:
+    def off(world: World, size: float) -> None:
+        # a steady offset that comes with the settled pose and goes unnoticed until the shutter opens
+        drift_at(world, -90.0, until_s=1e9, size=size)
+
+    world = fly(prepare=lambda w: off(w, 0.3), settings=some_settings(accept="overlap", max_rate_deg_s=8.0))
+    assert world.record.state is S.COMPLETE
+    assert [event.by for event in world.sink.of(ev.ShotAccepted)] == ["tolerance", "overlap", "tolerance", "tolerance"]
+    assert world.record.retakes == 0
+
+    def strict(world: World) -> None:
+        off(world, 0.3)
+        world.verifier.needed = 5  # the certificate never holds
+
+    settings = some_settings(accept="overlap", max_rate_deg_s=8.0, attempts=1, rounds=1)
+    world = fly(prepare=strict, settings=settings)
+    assert world.record.missing() == (1,)
+    assert "overlaps would not hold" in world.sink.of(ev.ShotRejected)[0].reason
+
+    blurred = some_settings(accept="overlap", attempts=1, rounds=1)
+    world = fly(prepare=lambda w: off(w, 3.0), settings=blurred)
+    assert world.record.missing() == (1,)
+
+
 def test_what_a_finished_mission_cannot_do() -> None:
     async def main() -> None:
         async with a_world() as world:
