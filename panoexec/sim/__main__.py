@@ -1,25 +1,62 @@
-"""`python -m panoexec.sim`: the simulated vehicle as a process."""
+"""`python -m panoexec.sim`: the simulated vehicle as a process, for programs that start it (`panoexec.sim.process`).
+
+With `--config-from-stdin` the configuration is one line of JSON on standard input, and the simulation ends when that
+does, so that it cannot outlive its parent. On standard output: one line of JSON when it is ready, one at the end.
+Otherwise it takes the options of `panoexec simulate`, but for the camera.
+"""
 
 from __future__ import annotations
 
 import argparse
+import json
+import os
 import sys
-from pathlib import Path
+from dataclasses import asdict
+
+from panoexec.errors import PanoexecError
+from panoexec.sim import settings
+from panoexec.sim.config import SimConfig
+from panoexec.sim.options import add_arguments, config_of
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m panoexec.sim")
-    parser.add_argument("--port", type=int, default=14550)
-    parser.add_argument("--output", type=Path)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--speedup", type=float, default=1.0)
-    parser.add_argument("--attach")
-    args = parser.parse_args()
-    from panoexec.sim.config import SimConfig
-    from panoexec.sim.server import run_simulation
-    if args.output: args.output.mkdir(parents=True, exist_ok=True)
-    return run_simulation(SimConfig(port=args.port, output=args.output, seed=args.seed, speedup=args.speedup, attach_url=args.attach), announce_json=True)
+def main(argv: list[str]) -> int:
+    """Run the simulation; the exit code of the contract."""
+    tied = argv == ["--config-from-stdin"]
+    try:
+        config = settings.from_json(json.loads(_first_line())) if tied else _from_options(argv)
+        return _run(config, tied=tied)
+    except PanoexecError as error:
+        print(f"panoexec: {' '.join(str(error).split())}", file=sys.stderr)
+        return error.exit_code
+
+
+def _first_line() -> bytes:
+    """The first line of standard input, read byte by byte: nothing behind it may get lost in a buffer."""
+    line = b""
+    while (byte := os.read(sys.stdin.fileno(), 1)) not in (b"", b"\n"):
+        line += byte
+    return line
+
+
+def _from_options(argv: list[str]) -> SimConfig:
+    parser = argparse.ArgumentParser(prog="python -m panoexec.sim", description=__doc__)
+    add_arguments(parser)
+    return config_of(parser.parse_args(argv))
+
+
+def _run(config: SimConfig, *, tied: bool) -> int:
+    from panoexec.sim.server import Ready, run_simulation  # noqa: PLC0415  (pymavlink may be missing)
+
+    def ready(state: Ready) -> None:
+        print(json.dumps(state.document()), flush=True)
+
+    def note(text: str) -> None:
+        print(f"simulation: {text}", file=sys.stderr, flush=True)
+
+    summary = run_simulation(config, on_ready=ready, note=note, tied=tied)
+    print(json.dumps(asdict(summary)), flush=True)
+    return 130 if summary.interrupted else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

@@ -178,9 +178,8 @@ class Airframe:
         north, east, up = (c.gps_wander_m * drift.at(t) for drift in self._gps)
         north, east, up = north + state.north_m, east + state.east_m, 1.5 * up + state.up_m
         h = 0.1
-        velocity = [
-            (self.config.hold_m * (drift.at(t + h) - drift.at(t)) / h) if self.is_flying else 0.0 for drift in self._hold
-        ]
+        hold = c.hold_m if self.is_flying else 0.0
+        velocity = [hold * (drift.at(t + h) - drift.at(t)) / h for drift in self._hold]
         return Position(
             latitude_deg=c.latitude_deg + north / _METRES_PER_DEG,
             longitude_deg=c.longitude_deg + east / (_METRES_PER_DEG * math.cos(math.radians(c.latitude_deg))),

@@ -106,9 +106,7 @@ class CameraModel:
         steps = max(1, round(self.config.exposure_s / 0.005))
         samples = [first.truth]
         for step in range(1, steps + 1):
-            self._timeline.at(
-                start + self.config.exposure_s * step / steps, lambda: samples.append(self._look().truth)
-            )
+            self._timeline.at(start + self.config.exposure_s * step / steps, lambda: samples.append(self._look().truth))
         self._timeline.at(start + self.config.exposure_s, lambda: self._close(start, first, samples))
 
     def _close(self, start_s: float, first: Look, samples: list[Angles]) -> None:

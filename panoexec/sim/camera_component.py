@@ -26,6 +26,14 @@ _RETRANSMISSION_S = 1.5
 _POSITION_INTERVAL_US = 200_000
 _DRIFT_HOLD_S = 0.7
 
+_OLD_REQUESTS = {
+    mavlink.MAV_CMD_REQUEST_CAMERA_INFORMATION: mavlink.MAVLINK_MSG_ID_CAMERA_INFORMATION,
+    mavlink.MAV_CMD_REQUEST_CAMERA_SETTINGS: mavlink.MAVLINK_MSG_ID_CAMERA_SETTINGS,
+    mavlink.MAV_CMD_REQUEST_STORAGE_INFORMATION: mavlink.MAVLINK_MSG_ID_STORAGE_INFORMATION,
+    mavlink.MAV_CMD_REQUEST_CAMERA_CAPTURE_STATUS: mavlink.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS,
+}
+"""Commands from before MAV_CMD_REQUEST_MESSAGE, which some programs still send."""
+
 _REFUSALS = {
     Refusal.BUSY: mavlink.MAV_RESULT_TEMPORARILY_REJECTED,
     Refusal.STORAGE_FULL: mavlink.MAV_RESULT_FAILED,
@@ -74,6 +82,12 @@ class CameraComponent:
         self._captured: dict[int, Message] = {}
         self._last_photo: tuple[tuple[int, int], float, int | None] = ((0, 0), -math.inf, None)
         self._sequence_left = 0
+        self._actions: dict[int, Callable[[Command], int | None]] = {
+            mavlink.MAV_CMD_IMAGE_START_CAPTURE: self._start_capture,
+            mavlink.MAV_CMD_IMAGE_STOP_CAPTURE: self._stop_capture,
+            mavlink.MAV_CMD_SET_CAMERA_MODE: self._set_mode,
+            mavlink.MAV_CMD_REQUEST_CAMERA_IMAGE_CAPTURE: self._again,
+        }
         self.fix = Fix()
         self.model = CameraModel(
             config.camera, timeline, look=lambda: look_at(gimbal.physics, timeline.now_s), on_exposed=self._exposed
@@ -108,11 +122,10 @@ class CameraComponent:
         elif kind == "HEARTBEAT":
             if message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
                 self._ask_for_position()
-        elif (command := command_of(message)) is not None and message.target_component == COMPONENT_ID:
-            if self._component.is_for_me(message):
-                result = self._command(command)
-                if result is not None:
-                    self._component.acknowledge(command, result)
+        elif self._component.is_addressed(message) and (command := command_of(message)) is not None:
+            result = self._command(command)
+            if result is not None:
+                self._component.acknowledge(command, result)
 
     def _ask_for_position(self) -> None:
         self._component.send(
@@ -136,30 +149,23 @@ class CameraComponent:
         common = self._component.common_command(command, unknown_message=mavlink.MAV_RESULT_UNSUPPORTED)
         if common is not None:
             return common
-        match command.id:
-            case mavlink.MAV_CMD_IMAGE_START_CAPTURE:
-                return self._start_capture(command)
-            case mavlink.MAV_CMD_IMAGE_STOP_CAPTURE:
-                self._sequence_left = 0
-                return int(mavlink.MAV_RESULT_ACCEPTED)
-            case mavlink.MAV_CMD_SET_CAMERA_MODE:
-                image = int(command.params[1]) == mavlink.CAMERA_MODE_IMAGE
-                return int(mavlink.MAV_RESULT_ACCEPTED if image else mavlink.MAV_RESULT_UNSUPPORTED)
-            case mavlink.MAV_CMD_REQUEST_CAMERA_INFORMATION:
-                return self._component.request(mavlink.MAVLINK_MSG_ID_CAMERA_INFORMATION)
-            case mavlink.MAV_CMD_REQUEST_CAMERA_SETTINGS:
-                return self._component.request(mavlink.MAVLINK_MSG_ID_CAMERA_SETTINGS)
-            case mavlink.MAV_CMD_REQUEST_STORAGE_INFORMATION:
-                return self._component.request(mavlink.MAVLINK_MSG_ID_STORAGE_INFORMATION)
-            case mavlink.MAV_CMD_REQUEST_CAMERA_CAPTURE_STATUS:
-                return self._component.request(mavlink.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS)
-            case mavlink.MAV_CMD_REQUEST_CAMERA_IMAGE_CAPTURE:
-                return self._again(int(command.params[0]))
-            case _:
-                return int(mavlink.MAV_RESULT_UNSUPPORTED)
+        if (message_id := _OLD_REQUESTS.get(command.id)) is not None:
+            return self._component.request(message_id)
+        action = self._actions.get(command.id)
+        return int(mavlink.MAV_RESULT_UNSUPPORTED) if action is None else action(command)
 
-    def _again(self, index: int) -> int:
-        message = self._captured.get(index)
+    def _stop_capture(self, command: Command) -> int:
+        del command
+        self._sequence_left = 0
+        return int(mavlink.MAV_RESULT_ACCEPTED)
+
+    def _set_mode(self, command: Command) -> int:
+        image = int(command.params[1]) == mavlink.CAMERA_MODE_IMAGE
+        return int(mavlink.MAV_RESULT_ACCEPTED if image else mavlink.MAV_RESULT_UNSUPPORTED)
+
+    def _again(self, command: Command) -> int:
+        """Send the message of an earlier photo once more."""
+        message = self._captured.get(int(command.params[0]))
         if message is None:
             return int(mavlink.MAV_RESULT_DENIED)
         self._component.send(message)

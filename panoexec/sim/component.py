@@ -1,4 +1,4 @@
-"""What every MAVLink component does alike: heartbeat, command acknowledgements, messages on request, message intervals."""
+"""What every MAVLink component does alike: heartbeat, acknowledgements, messages on request, intervals."""
 
 from __future__ import annotations
 
@@ -132,6 +132,10 @@ class Component:
         system = getattr(message, "target_system", 0)
         component = getattr(message, "target_component", 0)
         return system in (0, self.sender.system_id) and component in (0, self.sender.component_id)
+
+    def is_addressed(self, message: Message) -> bool:
+        """Whether a message is for this component by name; commands to all are the autopilot's business."""
+        return self.is_for_me(message) and getattr(message, "target_component", 0) == self.sender.component_id
 
     def acknowledge(self, command: Command, result: int) -> None:
         """Send COMMAND_ACK to the command's sender."""

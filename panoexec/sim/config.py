@@ -66,7 +66,7 @@ class GimbalConfig:
 
     yaw: AxisConfig = AxisConfig(rate_deg_s=90.0, acceleration_deg_s2=360.0, min_deg=-180.0, max_deg=180.0)
     roll: AxisConfig = AxisConfig(rate_deg_s=60.0, acceleration_deg_s2=240.0, min_deg=-45.0, max_deg=45.0)
-    pitch: AxisConfig = AxisConfig(rate_deg_s=60.0, acceleration_deg_s2=240.0, min_deg=-90.0, max_deg=45.0)
+    pitch: AxisConfig = AxisConfig(rate_deg_s=60.0, acceleration_deg_s2=240.0, min_deg=-90.0, max_deg=90.0)
     yaw_endless: bool = True
     stop_margin_deg: float = 3.0
     loop_hz: float = 4.0

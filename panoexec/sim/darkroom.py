@@ -13,12 +13,11 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from panoexec.errors import DeviceError
+from panoexec.errors import DeviceError, PanoexecError, UsageError
 from panoexec.optics import Camera
 
 _NICENESS = 5
@@ -32,51 +31,51 @@ class Negative:
     Attributes:
         path: where the JPEG goes.
         truth_deg: true (yaw, roll, pitch) of the camera, evenly spaced over the exposure.
-        measured_deg: (yaw, roll, pitch) as the camera was told; goes into the JPEG's metadata.
-        index: running number.
+        q_wxyz: attitude as the camera was told, to north; goes into the JPEG's metadata.
         time_utc_s: start of the exposure.
         exposure_s: shutter time.
-        latitude_deg, longitude_deg, altitude_m, relative_altitude_m: where.
+        position: (latitude, longitude, altitude, altitude above home) in degrees and metres, None without a fix.
+        flight_yaw_deg: the vehicle's heading, None if not known.
     """
 
     path: str
     truth_deg: tuple[tuple[float, float, float], ...]
-    measured_deg: tuple[float, float, float]
-    index: int
+    q_wxyz: tuple[float, float, float, float]
     time_utc_s: float
     exposure_s: float
-    latitude_deg: float
-    longitude_deg: float
-    altitude_m: float
-    relative_altitude_m: float
+    position: tuple[float, float, float, float] | None
+    flight_yaw_deg: float | None
 
 
 class Darkroom:
     """Sends negatives to the worker and keeps count.
 
     Attributes:
+        written: photos on disk.
         pending: photos not yet on disk.
         failures: what went wrong, one line each.
     """
 
-    def __init__(
-        self, camera: Camera, width_px: int, *, scene: Path | None, seed: int, on_written: Callable[[str], None]
-    ) -> None:
+    def __init__(self, camera: Camera, width_px: int, *, scene: Path | None, seed: int) -> None:
         self._setup = {
             "camera": dataclasses.asdict(camera),
             "width_px": width_px,
             "scene": str(scene) if scene else None,
             "seed": seed,
         }
-        self._on_written = on_written
         self._process: asyncio.subprocess.Process | None = None
         self._idle = asyncio.Event()
         self._idle.set()
+        self.written = 0
         self.pending = 0
         self.failures: list[str] = []
 
     async def start(self) -> None:
-        """Start the worker; it prepares the scene while the vehicle boots."""
+        """Start the worker; wait for it only if the scene is a file, which may be none.
+
+        Raises:
+            UsageError: the scene is no equirectangular image; the message names it.
+        """
         self._process = await asyncio.create_subprocess_exec(
             sys.executable,
             "-m",
@@ -86,6 +85,11 @@ class Darkroom:
             limit=_LINE_LIMIT,
         )
         self._send(self._setup)
+        if self._setup["scene"] is not None:
+            first = json.loads(await self._stdout().readline() or '{"error": "the renderer did not start"}')
+            if error := first.get("error"):
+                await self.close()
+                raise UsageError(error)
 
     def develop(self, negative: Negative) -> None:
         """Queue one photo; returns at once."""
@@ -93,34 +97,39 @@ class Darkroom:
         self._idle.clear()
         self._send(dataclasses.asdict(negative))
 
+    def _stdout(self) -> asyncio.StreamReader:
+        assert self._process is not None
+        assert self._process.stdout is not None
+        return self._process.stdout
+
     def _send(self, document: dict[str, Any]) -> None:
         assert self._process is not None
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(document).encode() + b"\n")
 
     async def run(self) -> None:
-        """Read the worker's results until it ends.
+        """Read the worker's results until cancelled.
 
         Raises:
-            DeviceError: it ended with photos still to develop.
+            DeviceError: the worker ended by itself.
         """
-        assert self._process is not None
-        assert self._process.stdout is not None
-        while line := await self._process.stdout.readline():
+        while line := await self._stdout().readline():
             result = json.loads(line)
+            if "path" not in result:
+                if error := result.get("error"):
+                    raise UsageError(error)
+                continue
             if error := result.get("error"):
                 self.failures.append(error)
             else:
-                self._on_written(result["path"])
+                self.written += 1
             self.pending -= 1
-            if not self.pending:
+            if self.pending <= 0:
                 self._idle.set()
-        self._idle.set()
-        if self.pending:
-            raise DeviceError(f"the simulated camera's renderer ended with {self.pending} photos not written")
+        raise DeviceError(f"the simulated camera's renderer has ended; {self.pending} photos were not written")
 
     async def drain(self, timeout_s: float) -> bool:
-        """Wait until every photo is on disk; False if that took longer than `timeout_s`."""
+        """Wait until every photo is on disk (`run` must be running); False if that took longer than `timeout_s`."""
         try:
             async with asyncio.timeout(timeout_s):
                 await self._idle.wait()
@@ -147,40 +156,62 @@ def _work() -> None:
     """The worker: develop jobs from standard input until it ends."""
     os.nice(_NICENESS)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides when this ends
-    from panoexec.angles import rotation  # noqa: PLC0415  (the client needs neither numpy nor Pillow)
-    from panoexec.sim.render import Renderer  # noqa: PLC0415
-    from panoexec.sim.scene import load_scene, procedural_scene  # noqa: PLC0415
-
     first = sys.stdin.readline()
     if not first:
         return
     setup = json.loads(first)
+    try:
+        renderer = _renderer(setup)
+    except PanoexecError as error:
+        _answer({"error": str(error)})
+        return
+    _answer({"ready": True})
     camera = Camera(**setup["camera"])
-    scene = load_scene(Path(setup["scene"])) if setup["scene"] else procedural_scene(setup["seed"])
-    renderer = Renderer(scene)
     for line in sys.stdin:
         job = json.loads(line)
         started = time.monotonic()
-        path = Path(job["path"])
         try:
-            truth = job["truth_deg"]
-            poses = rotation([t[0] for t in truth], [t[2] for t in truth], [t[1] for t in truth])
-            pixels = renderer.render(camera, poses, setup["width_px"])
-            _write(path, pixels, job, camera)
-        except OSError as error:
-            result = {"path": job["path"], "error": f"{path}: cannot write the photo: {error.strerror or error}"}
+            _develop(renderer, camera, setup["width_px"], job)
+        except PanoexecError as error:
+            _answer({"path": job["path"], "error": str(error)})
         else:
-            result = {"path": job["path"], "seconds": round(time.monotonic() - started, 4)}
-        print(json.dumps(result), flush=True)
+            _answer({"path": job["path"], "seconds": round(time.monotonic() - started, 4)})
 
 
-def _write(path: Path, pixels: Any, job: dict[str, Any], camera: Camera) -> None:
-    from PIL import Image  # noqa: PLC0415
+def _answer(document: dict[str, Any]) -> None:
+    print(json.dumps(document), flush=True)
 
-    del job, camera
-    temporary = path.with_suffix(".part")
-    Image.fromarray(pixels).save(temporary, "JPEG", quality=90)
-    temporary.replace(path)
+
+def _renderer(setup: dict[str, Any]) -> Any:
+    from panoexec.sim.render import Renderer  # noqa: PLC0415  (the client needs neither the renderer nor Pillow)
+    from panoexec.sim.scene import load_scene, procedural_scene  # noqa: PLC0415
+
+    return Renderer(load_scene(Path(setup["scene"])) if setup["scene"] else procedural_scene(setup["seed"]))
+
+
+def _develop(renderer: Any, camera: Camera, width_px: int, job: dict[str, Any]) -> None:
+    from panoexec.angles import rotation  # noqa: PLC0415
+    from panoexec.sim.jpeg import PhotoMetadata, write_jpeg  # noqa: PLC0415
+    from panoexec.xmp import Position  # noqa: PLC0415
+
+    truth = job["truth_deg"]
+    poses = rotation([t[0] for t in truth], [t[2] for t in truth], [t[1] for t in truth])
+    place = job["position"]
+    metadata = PhotoMetadata(
+        time_utc_s=job["time_utc_s"],
+        exposure_s=job["exposure_s"],
+        focal_length_mm=camera.focal_length_mm,
+        equivalent_focal_length_mm=camera.equivalent_focal_length_mm,
+        q_wxyz=tuple(job["q_wxyz"]),
+        position=Position(
+            latitude_deg=place[0], longitude_deg=place[1], altitude_m=place[2], relative_altitude_m=place[3]
+        )
+        if place
+        else None,
+        flight_yaw_deg=job["flight_yaw_deg"],
+        model=camera.name,
+    )
+    write_jpeg(Path(job["path"]), renderer.render(camera, poses, width_px), metadata)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@
 
 * `0.3` (below 1): a probability: per photo for faults of single photos, per minute for the others;
 * `20` or `20+5`: from 20 s after the first photo command on, for 5 s (`t20+5`: 20 s after the start of the simulation);
+  faults of single photos take the form with a duration only, and strike every photo in that time;
 * `#3`: at the third photo command (several may be given);
 * `x1.5`: the size, in the unit that the table in `FAULTS` names.
 """
@@ -39,15 +40,15 @@ class Fault:
     Attributes:
         kind: when it strikes.
         text: what it does.
-        size: default size; NaN if it has none.
-        unit: what the size means.
+        size: default size.
+        unit: what the size means; "" if it has none.
         duration_s: default duration of a `SPAN`.
         probability: default of a `PHOTO` fault.
     """
 
     kind: Kind
     text: str
-    size: float = math.nan
+    size: float = 0.0
     unit: str = ""
     duration_s: float = 5.0
     probability: float = 0.2
@@ -87,12 +88,14 @@ FAULTS: dict[str, Fault] = {
     "clock-jump": Fault(kind=Kind.ONCE, text="the vehicle's UTC jumps by the size", size=3600.0, unit="s"),
 }
 
+AUTOPILOT_FAULTS = frozenset({"link-loss", "reboot", "control-stolen", "mode-change", "battery-low"})
+"""Faults of the embedded autopilot, which a payload joined to a real one cannot have."""
+
 _NUMBER = r"(?:\d+\.?\d*|\.\d+)"
 _TIME = re.compile(rf"(t?)({_NUMBER})(?:\+({_NUMBER}))?")
 _SIZE = re.compile(rf"x(-?{_NUMBER})")
 _PHOTO = re.compile(r"#([1-9]\d*)")
 _DEFAULT_START_S = 15.0
-_PER_MINUTE = 1 / 60
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,48 +129,71 @@ def parse_fault(text: str) -> FaultSpec:
     fault = FAULTS.get(name)
     if fault is None:
         raise UsageError(f"--fault {text}: unknown fault {name!r}; known are {', '.join(sorted(FAULTS))}")
-    size, probability = fault.size, 0.0
-    photos: list[int] = []
-    spans: dict[bool, list[tuple[float, float]]] = {False: [], True: []}
+    draft = _Draft(fault)
     for part in filter(None, value.split(",")):
-        if match := _SIZE.fullmatch(part):
-            if math.isnan(fault.size):
-                raise UsageError(f"--fault {text}: {name} has no size, {part!r} means nothing")
-            size = float(match[1])
-        elif (match := _PHOTO.fullmatch(part)) and fault.kind is Kind.PHOTO:
-            photos.append(int(match[1]))
-        elif match := _TIME.fullmatch(part):
-            start = float(match[2])
-            if not match[1] and not match[3] and 0 < start < 1:
-                probability = start
-            elif fault.kind is Kind.PHOTO:
-                # a plain number from 1 on can only be meant as the size
-                if match[1] or match[3] or math.isnan(fault.size):
-                    raise _unreadable(text, part, fault)
-                size = start
-            else:
-                spans[bool(match[1])].append((start, start + (float(match[3]) if match[3] else fault.duration_s)))
-        else:
+        if not draft.take(part):
             raise _unreadable(text, part, fault)
-    if not probability and not photos and not spans[False] and not spans[True]:
-        if fault.kind is Kind.PHOTO:
-            probability = fault.probability
-        else:
-            spans[False].append((_DEFAULT_START_S, _DEFAULT_START_S + fault.duration_s))
-    return FaultSpec(
-        name=name,
-        size=size,
-        probability=probability,
-        photos=tuple(photos),
-        spans=tuple(spans[False]),
-        absolute_spans=tuple(spans[True]),
-    )
+    return draft.spec(name)
+
+
+class _Draft:
+    """A `FaultSpec` while it is read part by part."""
+
+    def __init__(self, fault: Fault) -> None:
+        self._fault = fault
+        self._size = fault.size
+        self._probability = 0.0
+        self._photos: list[int] = []
+        self._spans: list[tuple[float, float]] = []
+        self._absolute_spans: list[tuple[float, float]] = []
+
+    def take(self, part: str) -> bool:
+        """Read one part; False if it means nothing."""
+        if match := _SIZE.fullmatch(part):
+            self._size = float(match[1])
+            return bool(self._fault.unit)
+        if match := _PHOTO.fullmatch(part):
+            self._photos.append(int(match[1]))
+            return self._fault.kind is Kind.PHOTO
+        match = _TIME.fullmatch(part)
+        return match is not None and self._take_number(bool(match[1]), float(match[2]), match[3])
+
+    def _take_number(self, absolute: bool, number: float, duration: str | None) -> bool:
+        if duration is None and not absolute and 0 < number < 1:
+            self._probability = number
+            return True
+        if duration is None and self._fault.kind is Kind.PHOTO:
+            # a number from 1 on can only be meant as the size
+            self._size = number
+            return bool(self._fault.unit) and not absolute
+        spans = self._absolute_spans if absolute else self._spans
+        spans.append((number, number + (self._fault.duration_s if duration is None else float(duration))))
+        return True
+
+    def spec(self, name: str) -> FaultSpec:
+        """What was read, with the defaults where nothing says when."""
+        probability, spans = self._probability, self._spans
+        if not (probability or self._photos or spans or self._absolute_spans):
+            if self._fault.kind is Kind.PHOTO:
+                probability = self._fault.probability
+            else:
+                spans = [(_DEFAULT_START_S, _DEFAULT_START_S + self._fault.duration_s)]
+        return FaultSpec(
+            name=name,
+            size=self._size,
+            probability=probability,
+            photos=tuple(self._photos),
+            spans=tuple(spans),
+            absolute_spans=tuple(self._absolute_spans),
+        )
 
 
 def _unreadable(text: str, part: str, fault: Fault) -> UsageError:
     accepted = ["a probability below 1 like 0.3"]
-    accepted.append("photo numbers like #3" if fault.kind is Kind.PHOTO else "seconds START or START+DURATION like 20+5")
-    if not math.isnan(fault.size):
+    if fault.kind is Kind.PHOTO:
+        accepted.append("photo numbers like #3")
+    accepted.append("seconds START+DURATION like 20+5")
+    if fault.unit:
         accepted.append(f"a size in {fault.unit} like x{fault.size:g}")
     return UsageError(f"--fault {text}: cannot read {part!r}; accepted are {', '.join(accepted)}")
 
@@ -206,7 +232,8 @@ class Faults:
         for name, spec in self._specs.items():
             if FAULTS[name].kind is Kind.PHOTO:
                 drawn = self._rng[name].random() < spec.probability
-                hit = self.photos in spec.photos or (drawn and not (name == "drift" and self._photo_hits[name]))
+                random_hit = drawn and not (name == "drift" and self._photo_hits[name])
+                hit = self.photos in spec.photos or random_hit or self._in_span(spec, now_s)
                 self._photo_hits[name] = hit
 
     def photo(self, name: str) -> bool:
@@ -215,29 +242,39 @@ class Faults:
 
     def active(self, name: str, now_s: float) -> bool:
         """Whether a `SPAN` fault is at work now."""
-        return name in self._specs and any(start <= now_s < end for start, end in self._spans(name, now_s))
+        if name not in self._specs:
+            return False
+        return self._in_span(self._specs[name], now_s) or any(
+            start <= now_s < end for start, end in self._random(name, now_s)
+        )
 
     def fires(self, name: str, now_s: float) -> bool:
         """Whether a `ONCE` fault strikes now; true once for each of its moments."""
         if name not in self._specs:
             return False
-        due = sum(start <= now_s for start, _ in self._spans(name, now_s))
-        if due > self._fired[name]:
+        spec, zero = self._specs[name], self._first_photo_s
+        starts = [start for start, _ in spec.absolute_spans] + [zero + start for start, _ in spec.spans]
+        starts += [start for start, _ in self._random(name, now_s)]
+        if sum(start <= now_s for start in starts) > self._fired[name]:
             self._fired[name] += 1
             return True
         return False
 
-    def _spans(self, name: str, now_s: float) -> list[tuple[float, float]]:
-        spec = self._specs[name]
+    def _in_span(self, spec: FaultSpec, now_s: float) -> bool:
         zero = self._first_photo_s
-        spans = [*spec.absolute_spans, *((zero + start, zero + end) for start, end in spec.spans)]
+        return any(start <= now_s < end for start, end in spec.absolute_spans) or any(
+            zero + start <= now_s < zero + end for start, end in spec.spans
+        )
+
+    def _random(self, name: str, now_s: float) -> list[tuple[float, float]]:
+        """The spans drawn at random up to now, minute by minute after the first photo command."""
+        spec, zero = self._specs[name], self._first_photo_s
+        drawn = self._random_spans[name]
         if spec.probability and now_s >= zero:
-            rng, drawn = self._rng[name], self._random_spans[name]
-            minute = int((now_s - zero) * _PER_MINUTE)
+            rng, minute = self._rng[name], int((now_s - zero) / 60)
             while self._minutes_drawn[name] <= minute:
-                offset = 60 * (self._minutes_drawn[name] + rng.random())
+                start = zero + 60 * (self._minutes_drawn[name] + rng.random())
                 if rng.random() < spec.probability:
-                    drawn.append((offset, offset + FAULTS[name].duration_s))
+                    drawn.append((start, start + FAULTS[name].duration_s))
                 self._minutes_drawn[name] += 1
-            spans += [(zero + start, zero + end) for start, end in drawn]
-        return spans
+        return drawn

@@ -5,8 +5,8 @@ with an inertial sensor controls those, whatever the vehicle does under it).
 
 What is true and what is measured:
 
-* `estimate` is what the gimbal's own controller works with. Overshoot, gusts, slips and wrong commands move it, and it is
-  reported (plus white encoder noise).
+* `estimate` is what the gimbal's own controller works with. Overshoot, gusts, slips and wrong commands move it, and it
+  is reported (plus white encoder noise).
 * the *true* attitude is the estimate less the heading error: the compass that the yaw estimate rests on is off by up to
   `heading_error_deg`, drifting slowly. No report shows it; the images do.
 """
@@ -257,9 +257,10 @@ class GimbalPhysics:
         """One report: the estimate with fresh encoder noise."""
         yaw, roll, pitch = self.estimate
         gauss, c = self._encoder.gauss, self.config
-        return Angles(
-            yaw + gauss(0.0, c.yaw.noise_deg), roll + gauss(0.0, c.roll.noise_deg), pitch + gauss(0.0, c.pitch.noise_deg)
-        )
+        yaw += gauss(0.0, c.yaw.noise_deg)
+        roll += gauss(0.0, c.roll.noise_deg)
+        pitch += gauss(0.0, c.pitch.noise_deg)
+        return Angles(yaw, roll, pitch)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -293,7 +294,7 @@ def _clip(angle_deg: float, axis: AxisConfig) -> float:
 
 
 def quaternion(angles: Angles) -> tuple[float, float, float, float]:
-    """`[w, x, y, z]` of Rz(yaw) · Rx(roll) · Ry(pitch), as `panoexec.angles.rotation`, without arrays (it runs often)."""
+    """`[w, x, y, z]` of Rz(yaw) · Rx(roll) · Ry(pitch), as `panoexec.angles.rotation` but without arrays."""
     half = math.pi / 360
     cy, sy = math.cos(angles.yaw_deg * half), math.sin(angles.yaw_deg * half)
     cr, sr = math.cos(angles.roll_deg * half), math.sin(angles.roll_deg * half)
@@ -329,4 +330,3 @@ def body_rates(angles: Angles, rates: Rates) -> tuple[float, float, float]:
     x, y, z = roll_s, yaw_s * math.sin(roll), yaw_s * math.cos(roll)
     cp, sp = math.cos(pitch), math.sin(pitch)
     return cp * x - sp * z, y + pitch_s, sp * x + cp * z
-

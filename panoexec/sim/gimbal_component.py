@@ -103,9 +103,8 @@ class GimbalComponent:
                 rate = getattr(message, "angular_velocity_z", 0.0)
                 self.vehicle_yaw_rate_deg_s = math.degrees(rate) if math.isfinite(rate) else 0.0
                 self.vehicle_yaw_time_s = self._timeline.now_s
-        elif (command := command_of(message)) is not None and message.target_component == COMPONENT_ID:
-            if self._component.is_for_me(message):
-                self._command(command)
+        elif self._component.is_addressed(message) and (command := command_of(message)) is not None:
+            self._command(command)
 
     def _command(self, command: Command) -> None:
         result = self._component.common_command(command, unknown_message=mavlink.MAV_RESULT_UNSUPPORTED)
@@ -181,5 +180,3 @@ class GimbalComponent:
             *yaw,
             0,
         )
-
-

@@ -1,8 +1,8 @@
 """The autopilot's gimbal manager (MAVLink gimbal protocol v2), as ArduPilot and PX4 do it.
 
 What differs: ArduPilot names its gimbal 1, answers for it alone, and lets anybody point it whoever is in control; PX4
-names the device's component and refuses who is not in control. ArduPilot sends the target to the device all the time, and
-passes its attitude on under its own name when asked to.
+names the device's component and refuses who is not in control. ArduPilot sends the target to the device all the time,
+and passes its attitude on under its own name when asked to.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from panoexec.sim.airframe import AirframeState
 from panoexec.sim.component import NAN, Command, bitmask
 from panoexec.sim.config import SimConfig
 from panoexec.sim.dialect import mavlink
-from panoexec.sim.gimbal import Angles, GimbalPhysics, Target, quaternion
+from panoexec.sim.gimbal import Angles, GimbalPhysics, Rates, Target, quaternion
 from panoexec.sim.wire import Message
 
 _LOCK_YAW = mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK
@@ -102,8 +102,9 @@ class GimbalManager:
         """GIMBAL_MANAGER_SET_PITCHYAW (287): as the command, in radians, without an answer."""
         sender = (message.get_srcSystem(), message.get_srcComponent())
         if not self._is_px4 or self.primary == sender:
-            angles = (message.pitch, message.yaw, message.pitch_rate, message.yaw_rate)
-            self._point(*(math.degrees(angle) for angle in angles), message.flags)
+            angles = (math.degrees(a) for a in (message.pitch, message.yaw, message.pitch_rate, message.yaw_rate))
+            pitch, yaw, pitch_rate, yaw_rate = angles
+            self._point(pitch, yaw, pitch_rate, yaw_rate, message.flags)
 
     def set_attitude(self, message: Message) -> None:
         """GIMBAL_MANAGER_SET_ATTITUDE (282); ArduPilot makes pitch and yaw of the quaternion, so does this."""
@@ -116,8 +117,8 @@ class GimbalManager:
             yaw = math.degrees(math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
             self._point(pitch, yaw, NAN, NAN, message.flags)
         else:
-            rates = (message.angular_velocity_y, message.angular_velocity_z)
-            self._point(NAN, NAN, *(math.degrees(rate) for rate in rates), message.flags)
+            pitch_rate, yaw_rate = message.angular_velocity_y, message.angular_velocity_z
+            self._point(NAN, NAN, math.degrees(pitch_rate), math.degrees(yaw_rate), message.flags)
 
     def _configure(self, command: Command) -> int:
         system, component = command.params[0], command.params[1]
@@ -145,16 +146,11 @@ class GimbalManager:
             pitch = min(max(pitch, limits.min_deg), limits.max_deg)
             self._target = Target(pitch_deg=pitch, yaw_deg=yaw, yaw_lock=bool(flags & _LOCK_YAW))
         elif not (math.isnan(pitch_rate) or math.isnan(yaw_rate)):
-            self._rate_target(pitch_rate, yaw_rate, bool(flags & _LOCK_YAW))
+            self._target = Target(yaw_lock=bool(flags & _LOCK_YAW), rates=Rates(yaw_rate, 0.0, pitch_rate))
         elif not (math.isnan(pitch_rate) and math.isnan(yaw_rate) and math.isnan(pitch) and math.isnan(yaw)):
             return int(mavlink.MAV_RESULT_FAILED)
         self.send_target()
         return int(mavlink.MAV_RESULT_ACCEPTED)
-
-    def _rate_target(self, pitch_rate: float, yaw_rate: float, lock: bool) -> None:
-        from panoexec.sim.gimbal import Rates  # noqa: PLC0415
-
-        self._target = Target(yaw_lock=lock, rates=Rates(yaw_rate, 0.0, pitch_rate))
 
     def steal(self, station: tuple[int, int]) -> None:
         """Another station takes control and points the gimbal ahead (fault)."""
@@ -201,7 +197,7 @@ class GimbalManager:
         )
 
     def _demanded(self) -> tuple[float, ...]:
-        """The servo angles that keep the camera where it shall point, relative to the *airframe*: no feedback at all."""
+        """The servo angles that keep the camera where it shall point, relative to the *airframe*: no feedback."""
         target, state = self._target, self._airframe_state()
         # the servo mount has no rate of its own to report: while it turns at a rate it demands where it is
         physics = self._physics.estimate

@@ -46,6 +46,4 @@ class Parameters:
 
     def _value(self, name: str) -> Message:
         index = list(self._values).index(name)
-        return mavlink.MAVLink_param_value_message(
-            name.encode(), self._values[name], _REAL32, len(self._values), index
-        )
+        return mavlink.MAVLink_param_value_message(name.encode(), self._values[name], _REAL32, len(self._values), index)

@@ -47,8 +47,8 @@ class Payload:
         self.gimbal.start()
         self.camera.start()
 
-    def receive(self, link: Link, message: Message, frame: bytes) -> None:
+    def receive(self, message: Message, frame: bytes) -> None:
         """Take one message from the link."""
-        del link, frame
+        del frame
         self.gimbal.receive(message)
         self.camera.receive(message)

@@ -1,261 +1,287 @@
-"""Ties the simulated vehicle together: clock, physics, components, sockets, darkroom; and runs it."""
+"""Runs the simulated vehicle: sockets, clock, darkroom, signals, and a clean end."""
 
 from __future__ import annotations
 
 import asyncio
-import json
+import contextlib
+import os
+import signal
 import sys
-import time
-from dataclasses import asdict
-from pathlib import Path
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+from typing import Any
 
-from panoexec.sim.airframe import Airframe
-from panoexec.sim.camera import Exposure
-from panoexec.sim.camera_component import Fix
+from panoexec.errors import LinkError, UsageError
 from panoexec.sim.config import SimConfig
-from panoexec.sim.darkroom import Darkroom, Negative
-from panoexec.sim.faults import Faults
-from panoexec.sim.gimbal import GimbalPhysics
-from panoexec.sim.payload import Payload
-from panoexec.sim.trigger import CameraTrigger
-from panoexec.sim.vehicle import THIEF, Vehicle
-from panoexec.sim.wire import LocalLink, TcpLink, UdpLink, attach
-from panoexec.sim.world import Repeater, SimClock, Timeline, TruthLog
+from panoexec.sim.darkroom import Darkroom
+from panoexec.sim.faults import AUTOPILOT_FAULTS
+from panoexec.sim.simulation import Simulation
+from panoexec.sim.wire import Message, TcpLink, UdpLink, attach
+from panoexec.sim.world import SimClock, TruthLog
 
-_CHUNK_S = 0.02
-"""Longest stretch of wall time in which the simulation does not look at its sockets."""
 _IDLE_S = 0.001
-_FAULT_S = 0.02
 _DRAIN_S = 60.0
+_BEHIND_S = 0.5
+"""Wall time by which the simulation may be late before it says so."""
+_RECONNECT_S = 15.0
 
 
-class Simulation:
-    """All parts of one simulated vehicle, advanced in simulated time; knows sockets only as links.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ready:
+    """The vehicle is there: how to connect to it."""
 
-    Attributes:
-        timeline: what is due when.
-        vehicle: the embedded autopilot, None when only the payload is simulated.
-        payload: gimbal and camera components.
-    """
-
-    def __init__(
-        self, config: SimConfig, *, clock: SimClock, link: UdpLink | TcpLink, darkroom: Darkroom | None, truth: TruthLog
-    ) -> None:
-        self.config = config
-        self.clock = clock
-        self.timeline = Timeline()
-        self.faults = Faults(config.faults, seed=config.seed)
-        self.physics = GimbalPhysics(config.gimbal, seed=config.seed, step_s=config.step_s)
-        self.airframe = Airframe(config.airframe, seed=config.seed)
-        self.vehicle: Vehicle | None = None
-        self._darkroom = darkroom
-        self._truth = truth
-        self._steps = 0
-        self._first_number = _next_number(config.output)
-        if config.attach_url is None:
-            inner, outer = LocalLink.pair("payload", "vehicle")
-            self.payload = self._make_payload(inner)
-            self._make_vehicle(link, outer)
-            inner.receiver = self.payload.receive
-        else:
-            self.payload = self._make_payload(link)
-            link.receiver = self.payload.receive
-        self.physics.start_at(self._heading())
-        Repeater(self.timeline, self._apply_faults).start(_FAULT_S)
-
-    def _make_payload(self, link: LocalLink | UdpLink | TcpLink) -> Payload:
-        return Payload(
-            self.config,
-            clock=self.clock,
-            timeline=self.timeline,
-            physics=self.physics,
-            faults=self.faults,
-            link=link,
-            develop=self._develop,
-        )
-
-    def _make_vehicle(self, ground: UdpLink | TcpLink, bus: LocalLink) -> None:
-        trigger = None
-        if self.config.camera_kind == "servo":
-            trigger = CameraTrigger(
-                self.config,
-                clock=self.clock,
-                timeline=self.timeline,
-                physics=self.physics,
-                faults=self.faults,
-                develop=self._develop,
-            )
-        self.vehicle = Vehicle(
-            self.config,
-            clock=self.clock,
-            timeline=self.timeline,
-            airframe=self.airframe,
-            physics=self.physics,
-            faults=self.faults,
-            ground=ground,
-            payload=bus,
-            trigger=trigger,
-        )
-        ground.receiver = self.vehicle.receive_ground
-        bus.receiver = self.vehicle.receive_payload
-
-    def start(self) -> None:
-        """Start all components; time begins."""
-        self._truth.write("start", 0.0, {"seed": self.config.seed, "camera": asdict(self.config.camera.optics)})
-        if self.vehicle is not None:
-            self.vehicle.start()
-            if self.config.mount == "mavlink":
-                self.payload.gimbal.start()
-            if self.config.camera_kind == "mavlink":
-                self.payload.camera.start()
-        else:
-            self.payload.start()
-
-    def _heading(self) -> float:
-        """The vehicle's heading as its autopilot estimates it."""
-        if self.vehicle is not None:
-            return self.airframe.true_yaw_deg() + self.physics.heading_error_deg
-        gimbal = self.payload.gimbal
-        if gimbal.vehicle_yaw_deg != gimbal.vehicle_yaw_deg:  # NaN: not told yet
-            return 0.0
-        age = min(self.timeline.now_s - gimbal.vehicle_yaw_time_s, 0.2)
-        return gimbal.vehicle_yaw_deg + gimbal.vehicle_yaw_rate_deg_s * age
-
-    def advance(self, to_s: float, *, budget_s: float = _CHUNK_S) -> None:
-        """Run physics and events up to simulated time `to_s`, or as far as `budget_s` of wall time goes."""
-        step, timeline = self.config.step_s, self.timeline
-        deadline = time.monotonic() + budget_s
-        while True:
-            next_step = (self._steps + 1) * step
-            if next_step > to_s:
-                break
-            timeline.run_until(next_step - 1e-9)
-            self._steps += 1
-            self.airframe.step(step)
-            self.physics.step(self._heading())
-            if self._steps % 16 == 0 and time.monotonic() > deadline:
-                return
-        timeline.run_until(to_s)
+    config: SimConfig
+    port: int
+    """Bound or sent to."""
 
     @property
-    def next_s(self) -> float:
-        """When the next thing is due."""
-        return min(self.timeline.next_s, (self._steps + 1) * self.config.step_s)
+    def connect(self) -> str:
+        """What to give MAVSDK as the connection."""
+        if self.config.listen:
+            return f"udpout://{self.config.host}:{self.port}"
+        return f"udpin://0.0.0.0:{self.port}"
 
-    def _apply_faults(self) -> None:
-        faults, now = self.faults, self.timeline.now_s
-        self.physics.stuck = faults.active("gimbal-stuck", now)
-        self.physics.slowness = faults.size("gimbal-slow") if faults.active("gimbal-slow", now) else 1.0
-        wind = self.config.airframe.wind_m_s + (faults.size("gust") if faults.active("gust", now) else 0.0)
-        self.physics.wind_m_s = self.airframe.wind_m_s = wind
-        full = faults.active("storage-full", now)
-        self.payload.camera.model.storage_full = full
-        if faults.fires("clock-jump", now):
-            self.clock.jump_s += faults.size("clock-jump")
-        if faults.fires("battery-low", now):
-            self.airframe.battery_frac = faults.size("battery-low")
-        vehicle = self.vehicle
-        if vehicle is not None:
-            if faults.fires("reboot", now):
-                vehicle.reboot(faults.size("reboot"))
-            if faults.fires("control-stolen", now):
-                vehicle.manager.steal(THIEF)
-            if faults.fires("mode-change", now):
-                vehicle.modes.set(vehicle.modes.pilot_mode)
-
-    def _develop(self, exposure: Exposure, fix: Fix) -> str:
-        """Send a photo to the darkroom, write the truth about it; the file's URL."""
-        output = self.config.output
-        name = f"IMG_{self._first_number + exposure.index - self.config.camera.index_start:05d}.jpg"
-        nose = self.physics.nose_deg
-        self._truth.write(
-            "exposure",
-            exposure.start_s,
-            {
-                "image_index": exposure.index,
-                "file": name,
-                "end_s": round(exposure.end_s, 4),
-                "true_yaw_roll_pitch_deg": [list(angles) for angles in exposure.truth],
-                "estimated_yaw_roll_pitch_deg": list(exposure.estimate),
-                "measured_yaw_roll_pitch_deg": list(exposure.measured),
-                "heading_error_deg": self.physics.heading_error_deg,
-                "vehicle_heading_deg": nose,
-                "target": asdict(self.physics.target),
-                "wind_m_s": self.physics.wind_m_s,
-            },
-        )
-        if output is None or self._darkroom is None:
-            return name
-        path = output / name
-        self._darkroom.develop(
-            Negative(
-                path=str(path),
-                truth_deg=tuple(tuple(angles) for angles in exposure.truth),
-                measured_deg=tuple(exposure.measured),
-                index=exposure.index,
-                time_utc_s=self.clock.utc(exposure.start_s),
-                exposure_s=self.config.camera.exposure_s,
-                latitude_deg=fix.latitude_deg,
-                longitude_deg=fix.longitude_deg,
-                altitude_m=fix.altitude_m,
-                relative_altitude_m=fix.relative_altitude_m,
-            )
-        )
-        return path.as_uri()
+    def document(self) -> dict[str, Any]:
+        """For programs."""
+        c = self.config
+        return {
+            "ready": True,
+            "connect": None if c.attach_url else self.connect,
+            "attached": c.attach_url,
+            "autopilot": c.autopilot,
+            "system_id": c.system_id,
+            "speedup": c.speedup,
+            "seed": c.seed,
+            "output": str(c.output.absolute()) if c.output else None,
+        }
 
 
-def _next_number(output: Path | None) -> int:
-    """The first photo number that does not overwrite a file of an earlier run."""
-    if output is None:
-        return 1
-    taken = [int(path.stem[4:]) for path in output.glob("IMG_*.jpg") if path.stem[4:].isdigit()]
-    return max(taken, default=0) + 1
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """What a run left behind.
 
-
-async def _turn(simulation: Simulation) -> None:
-    """Let time pass until cancelled."""
-    clock = simulation.clock
-    while True:
-        simulation.advance(clock.now())
-        wait = clock.wall_delay(simulation.next_s)
-        await asyncio.sleep(max(wait, _IDLE_S if wait > 0 else 0.0))
-
-
-async def serve(config: SimConfig, *, announce_json: bool = False) -> None:
-    """Run the simulated vehicle until cancelled.
-
-    Raises:
-        UsageError: the output directory cannot be written, the URL to attach to is none.
-        LinkError: the port is in use, or nobody answers where to attach to.
+    Attributes:
+        photos: exposures made.
+        written: JPEGs on disk.
+        failures: one line for each photo that could not be written.
+        simulated_s: how long it ran.
+        latest_s: by how much wall time it was late at worst.
+        interrupted: ended by Ctrl-C.
     """
-    link = await _open_link(config)
-    truth = TruthLog(config.output / "truth.jsonl" if config.output else None)
-    darkroom = None
-    if config.output is not None:
-        darkroom = Darkroom(
-            config.camera.optics,
-            config.camera.render_width_px,
-            scene=config.scene,
-            seed=config.seed,
-            on_written=lambda _: None,
-        )
-        await darkroom.start()
-    try:
-        clock = SimClock(config.speedup)
-        simulation = Simulation(config, clock=clock, link=link, darkroom=darkroom, truth=truth)
+
+    photos: int
+    written: int
+    failures: tuple[str, ...]
+    simulated_s: float
+    latest_s: float
+    interrupted: bool
+
+
+class _Outlet:
+    """The link to the world, which may be replaced while the simulation runs."""
+
+    name = "world"
+
+    def __init__(self, link: UdpLink | TcpLink) -> None:
+        self.link = link
+
+    def send(self, frame: bytes, message: Message) -> None:
+        """See `panoexec.sim.wire.Link.send`."""
+        self.link.send(frame, message)
+
+
+class Server:
+    """One run of the simulation."""
+
+    def __init__(
+        self, config: SimConfig, *, on_ready: Callable[[Ready], None], note: Callable[[str], None], tied: bool = False
+    ) -> None:
+        """Prepare a run.
+
+        Args:
+            config: what to simulate.
+            on_ready: called once when the vehicle can be connected to.
+            note: takes lines for people.
+            tied: end when standard input ends (that is, when the parent does).
+        """
+        self._config = config
+        self._on_ready = on_ready
+        self._note = note
+        self._tied = tied
+        self._stop = asyncio.Event()
+        self._interrupted = False
+        self._latest_s = 0.0
+        self._link_lost = asyncio.Event()
+
+    async def run(self) -> Summary:
+        """Run until SIGINT, SIGTERM or, if tied, the end of standard input.
+
+        Raises:
+            UsageError: the output directory cannot be written, the scene is none, the URL to attach to is none.
+            LinkError: the port is in use; nobody answers where to attach to; the autopilot is gone.
+        """
+        config = self._config
+        _check_faults(config)
+        with self._signals():
+            truth = _open_truth(config)
+            try:
+                outlet = _Outlet(await _open_link(config))
+            except BaseException:
+                truth.close()
+                raise
+            try:
+                async with _darkroom(config) as darkroom:
+                    simulation = Simulation(
+                        config,
+                        clock=SimClock(config.speedup),
+                        link=outlet,
+                        truth=truth,
+                        develop=darkroom.develop if darkroom else None,
+                    )
+                    return await self._serve(simulation, outlet, darkroom)
+            finally:
+                outlet.link.close()
+                truth.close()
+
+    async def _serve(self, simulation: Simulation, outlet: _Outlet, darkroom: Darkroom | None) -> Summary:
+        self._adopt(outlet.link, simulation)
         simulation.start()
-        if announce_json:
-            print(json.dumps({"ready": True, "port": config.port}), flush=True)
+        self._on_ready(Ready(config=self._config, port=self._config.port))
         async with asyncio.TaskGroup() as tasks:
-            if darkroom is not None:
-                tasks.create_task(darkroom.run(), name="darkroom")
-            tasks.create_task(_turn(simulation), name="simulation")
+            developing = tasks.create_task(darkroom.run(), name="darkroom") if darkroom else None
+            turning = tasks.create_task(self._turn(simulation), name="simulation")
+            linking = tasks.create_task(self._keep_link(simulation, outlet), name="link")
+            await self._stop.wait()
+            turning.cancel()
+            linking.cancel()
+            if darkroom is not None and developing is not None:
+                await self._finish_photos(darkroom)
+                developing.cancel()
+        return Summary(
+            photos=simulation.photos,
+            written=darkroom.written if darkroom else 0,
+            failures=tuple(darkroom.failures) if darkroom else (),
+            simulated_s=simulation.timeline.now_s,
+            latest_s=self._latest_s,
+            interrupted=self._interrupted,
+        )
+
+    async def _finish_photos(self, darkroom: Darkroom) -> None:
+        """Let the last photos reach the disk; a second signal cuts it short."""
+        self._stop.clear()
+        if darkroom.pending:
+            self._note(f"waiting for {darkroom.pending} photos to be written")
+        waits = [
+            asyncio.create_task(darkroom.drain(_DRAIN_S), name="drain"),
+            asyncio.create_task(self._stop.wait(), name="second signal"),
+        ]
+        await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
+        for wait in waits:
+            wait.cancel()
+        await asyncio.gather(*waits, return_exceptions=True)
+        if darkroom.pending:
+            self._note(f"{darkroom.pending} photos were not written")
+
+    async def _turn(self, simulation: Simulation) -> None:
+        """Let simulated time pass."""
+        clock, warned = simulation.clock, False
+        while True:
+            now = clock.now()
+            simulation.advance(now)
+            late = -clock.wall_delay(simulation.next_s)
+            self._latest_s = max(self._latest_s, late)
+            if late > _BEHIND_S and not warned:
+                warned = True
+                self._note(f"this machine cannot keep up with speed-up {clock.speedup:g}: {late:.1f} s behind")
+            await asyncio.sleep(max(-late, _IDLE_S) if late < 0 else 0)
+
+    def _adopt(self, link: UdpLink | TcpLink, simulation: Simulation) -> None:
+        def receive(message: Message, frame: bytes) -> None:
+            # what arrives now happens now, not when the simulation looked at its clock last
+            simulation.advance(simulation.clock.now())
+            simulation.receiver(message, frame)
+
+        link.receiver = receive
+        if isinstance(link, TcpLink):
+            link.on_closed = self._link_lost.set
+
+    async def _keep_link(self, simulation: Simulation, outlet: _Outlet) -> None:
+        """Join an autopilot again that closed the connection (it restarts); only TCP tells.
+
+        Raises:
+            LinkError: it does not come back.
+        """
+        while True:
+            await self._link_lost.wait()
+            self._link_lost.clear()
+            self._note("the autopilot closed the connection; trying to join it again")
+            url = self._config.attach_url
+            assert url is not None
+            outlet.link = await attach(url, patience_s=_RECONNECT_S)
+            self._adopt(outlet.link, simulation)
+
+    @contextlib.contextmanager
+    def _signals(self) -> Any:
+        loop = asyncio.get_running_loop()
+
+        def interrupted() -> None:
+            self._interrupted = True
+            self._stop.set()
+
+        loop.add_signal_handler(signal.SIGINT, interrupted)
+        loop.add_signal_handler(signal.SIGTERM, self._stop.set)
+        if self._tied:
+            loop.add_reader(sys.stdin.fileno(), self._stdin)
+        try:
+            yield
+        finally:
+            if self._tied:
+                loop.remove_reader(sys.stdin.fileno())
+            loop.remove_signal_handler(signal.SIGINT)
+            loop.remove_signal_handler(signal.SIGTERM)
+
+    def _stdin(self) -> None:
+        if not os.read(sys.stdin.fileno(), 4096):
+            asyncio.get_running_loop().remove_reader(sys.stdin.fileno())
+            self._stop.set()
+
+
+def _check_faults(config: SimConfig) -> None:
+    if config.attach_url is None:
+        return
+    for spec in config.faults:
+        if spec.name in AUTOPILOT_FAULTS:
+            raise UsageError(
+                f"--fault {spec.name} is the autopilot's, and with --attach that is a real one; "
+                "the payload's own faults are accepted"
+            )
+
+
+def _open_truth(config: SimConfig) -> TruthLog:
+    if config.output is None:
+        return TruthLog(None)
+    try:
+        config.output.mkdir(parents=True, exist_ok=True)
+        return TruthLog(config.output / "truth.jsonl")
+    except OSError as error:
+        raise UsageError(f"--output {config.output}: cannot be written ({error.strerror}); name a directory") from error
+
+
+@contextlib.asynccontextmanager
+async def _darkroom(config: SimConfig) -> AsyncIterator[Darkroom | None]:
+    """The darkroom, if photos are wanted."""
+    if config.output is None:
+        if config.scene is not None:
+            raise UsageError("--scene needs --output: without a directory no photos are written")
+        yield None
+        return
+    camera = config.camera
+    darkroom = Darkroom(camera.optics, camera.render_width_px, scene=config.scene, seed=config.seed)
+    await darkroom.start()
+    try:
+        yield darkroom
     finally:
-        link.close()
-        if darkroom is not None:
-            await darkroom.drain(_DRAIN_S)
-            await darkroom.close()
-        truth.close()
+        await darkroom.close()
 
 
 async def _open_link(config: SimConfig) -> UdpLink | TcpLink:
@@ -266,14 +292,26 @@ async def _open_link(config: SimConfig) -> UdpLink | TcpLink:
     return UdpLink.sending_to("ground", config.host, config.port)
 
 
-def run_simulation(config: SimConfig, *, announce_json: bool = False) -> int:
-    """Run in the foreground until interrupted; the exit code."""
+async def simulate(
+    config: SimConfig, *, on_ready: Callable[[Ready], None], note: Callable[[str], None], tied: bool = False
+) -> Summary:
+    """Run the simulated vehicle until it is told to end; see `Server`.
+
+    Raises:
+        PanoexecError: see `Server.run`.
+    """
     try:
-        asyncio.run(serve(config, announce_json=announce_json))
-    except KeyboardInterrupt:
-        return 130
-    return 0
+        return await Server(config, on_ready=on_ready, note=note, tied=tied).run()
+    except BaseExceptionGroup as group:
+        # one of the tasks failed for a reason that a user can understand
+        understood, _ = group.split(LinkError)
+        if understood is not None:
+            raise understood.exceptions[0] from group
+        raise
 
 
-if __name__ == "__main__":
-    sys.exit(run_simulation(SimConfig()))
+def run_simulation(
+    config: SimConfig, *, on_ready: Callable[[Ready], None], note: Callable[[str], None], tied: bool = False
+) -> Summary:
+    """`simulate` from outside an event loop: in the foreground until Ctrl-C."""
+    return asyncio.run(simulate(config, on_ready=on_ready, note=note, tied=tied))

@@ -235,9 +235,7 @@ class Telemetry:
 
     def extended_sys_state(self) -> Message:
         """EXTENDED_SYS_STATE (245)."""
-        return mavlink.MAVLink_extended_sys_state_message(
-            mavlink.MAV_VTOL_STATE_UNDEFINED, self._airframe.landed_state
-        )
+        return mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_UNDEFINED, self._airframe.landed_state)
 
     def system_time(self) -> Message:
         """SYSTEM_TIME (2)."""

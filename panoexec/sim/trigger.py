@@ -61,9 +61,7 @@ class CameraTrigger:
             config.camera, timeline, look=lambda: look_at(physics, timeline.now_s), on_exposed=self._exposed
         )
 
-    def connect(
-        self, *, boot_ms: Callable[[], int], airframe: Airframe, send: Callable[[Message], None]
-    ) -> None:
+    def connect(self, *, boot_ms: Callable[[], int], airframe: Airframe, send: Callable[[Message], None]) -> None:
         """Join it to its autopilot."""
         self._boot_ms, self._airframe, self._send = boot_ms, airframe, send
 

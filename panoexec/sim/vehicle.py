@@ -38,6 +38,9 @@ _PX4_STREAMS = {
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
     mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_STATUS: 5.0,
 }
+_ACCEPTED = int(mavlink.MAV_RESULT_ACCEPTED)
+_DENIED = int(mavlink.MAV_RESULT_DENIED)
+_REBOOT_S = 3.0
 _TO_DEVICE_S = {"ardupilot": 0.02, "px4": 0.1}
 _STATE_FOR_GIMBAL_US = 20_000
 
@@ -158,9 +161,8 @@ class Vehicle:
 
         self._timeline.at(self._silent_until_s, up)
 
-    def receive_ground(self, link: Link, message: Message, frame: bytes) -> None:
+    def receive_ground(self, message: Message, frame: bytes) -> None:
         """Take one message from the ground."""
-        del link
         if self.is_silent or self._faults.active("link-loss", self._timeline.now_s):
             return
         if message.get_srcSystem() == self._config.system_id and message.get_srcComponent() == COMPONENT_ID:
@@ -172,9 +174,8 @@ class Vehicle:
             if target in (0, COMPONENT_ID):
                 self._handle(self._ground, message)
 
-    def receive_payload(self, link: Link, message: Message, frame: bytes) -> None:
+    def receive_payload(self, message: Message, frame: bytes) -> None:
         """Take one message from the payload's link."""
-        del link
         if self.is_silent:
             return
         target = getattr(message, "target_component", 0)
@@ -226,36 +227,49 @@ class Vehicle:
         return self._flight_command(command)
 
     def _flight_command(self, command: Command) -> int:
-        accepted = int(mavlink.MAV_RESULT_ACCEPTED)
-        denied = int(mavlink.MAV_RESULT_DENIED)
-        match command.id:
-            case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
-                return accepted if self.airframe.arm(command.params[0] > 0.5) else denied
-            case mavlink.MAV_CMD_NAV_TAKEOFF:
-                # ArduPilot: metres above home; PX4: above sea level
-                height = command.params[6]
-                if self._config.autopilot == "px4":
-                    height -= self._config.airframe.home_altitude_m
-                if math.isnan(height):
-                    height = self._config.airframe.height_m
-                return accepted if self.airframe.take_off(height) else denied
-            case mavlink.MAV_CMD_NAV_LAND:
-                self.modes.set(self.modes.land_mode)
-                self.airframe.land()
-                return accepted
-            case mavlink.MAV_CMD_DO_SET_MODE:
-                if not self.modes.set_from_command(command.params[1], command.params[2]):
-                    return denied
-                if self.modes.is_landing:
-                    self.airframe.land()
-                return accepted
-            case mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
-                return self._ground.request(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-            case mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN:
-                self.reboot(3.0)
-                return accepted
-            case _:
-                return int(mavlink.MAV_RESULT_UNSUPPORTED)
+        action = {
+            mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
+            mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
+            mavlink.MAV_CMD_NAV_LAND: self._land,
+            mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
+            mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._capabilities,
+            mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._reboot_command,
+        }.get(command.id)
+        return int(mavlink.MAV_RESULT_UNSUPPORTED) if action is None else action(command)
+
+    def _arm(self, command: Command) -> int:
+        return _ACCEPTED if self.airframe.arm(command.params[0] > 0.5) else _DENIED
+
+    def _take_off(self, command: Command) -> int:
+        # ArduPilot: metres above home; PX4: above sea level
+        height = command.params[6]
+        if self._config.autopilot == "px4":
+            height -= self._config.airframe.home_altitude_m
+        if math.isnan(height):
+            height = self._config.airframe.height_m
+        return _ACCEPTED if self.airframe.take_off(height) else _DENIED
+
+    def _land(self, command: Command) -> int:
+        del command
+        self.modes.set(self.modes.land_mode)
+        self.airframe.land()
+        return _ACCEPTED
+
+    def _set_mode(self, command: Command) -> int:
+        if not self.modes.set_from_command(command.params[1], command.params[2]):
+            return _DENIED
+        if self.modes.is_landing:
+            self.airframe.land()
+        return _ACCEPTED
+
+    def _capabilities(self, command: Command) -> int:
+        del command
+        return self._ground.request(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+
+    def _reboot_command(self, command: Command) -> int:
+        del command
+        self._timeline.after(0.1, lambda: self.reboot(_REBOOT_S))
+        return _ACCEPTED
 
     def say(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:
         """STATUSTEXT (253) to the ground, at most 50 characters."""

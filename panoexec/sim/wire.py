@@ -27,7 +27,7 @@ _DATAGRAM_BYTES = 65535
 class Receiver(Protocol):
     """Takes what a link brings."""
 
-    def __call__(self, link: Link, message: Message, frame: bytes) -> None:
+    def __call__(self, message: Message, frame: bytes, /) -> None:
         """Take one message and the bytes that it came in."""
         ...
 
@@ -76,7 +76,7 @@ class LocalLink:
         """See `Link.send`."""
         peer = self.peer
         if peer is not None and peer.receiver is not None:
-            peer.receiver(peer, message, frame)
+            peer.receiver(message, frame)
 
 
 def _parser() -> Any:
@@ -119,7 +119,7 @@ class _SocketLink:
     def _feed(self, data: bytes) -> None:
         for message in self._parser.parse_buffer(data) or ():
             if message.get_type() != "BAD_DATA" and self.receiver is not None:
-                self.receiver(self, message, bytes(message.get_msgbuf()))
+                self.receiver(message, bytes(message.get_msgbuf()))
 
 
 class UdpLink(_SocketLink):

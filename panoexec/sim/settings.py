@@ -1,0 +1,127 @@
+"""Any number of the simulation by its name (`gimbal.yaw.rate_deg_s=45`), and a whole configuration as JSON and back."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import types
+import typing
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from panoexec.errors import UsageError
+from panoexec.sim.config import SimConfig
+
+_CHANGEABLE = ("gimbal", "camera", "airframe")
+_ANY_SIGN = {"min_deg", "max_deg", "latitude_deg", "longitude_deg", "home_altitude_m", "heading_deg", "wind_from_deg"}
+_NOT_ZERO = {
+    "rate_deg_s",
+    "acceleration_deg_s2",
+    "loop_hz",
+    "heading_period_s",
+    "gust_corner_hz",
+    "battery_minutes",
+    "render_width_px",
+    "exposure_s",
+    "image_mib",
+}
+
+
+def names(config: SimConfig) -> dict[str, float | bool]:
+    """Every number that can be set, with its value in `config`."""
+    return {
+        f"{part}.{name}": value for part in _CHANGEABLE for name, value in _leaves(getattr(config, part), prefix="")
+    }
+
+
+def _leaves(value: Any, *, prefix: str) -> Iterator[tuple[str, float | bool]]:
+    for field in dataclasses.fields(value):
+        inner = getattr(value, field.name)
+        if dataclasses.is_dataclass(inner):
+            # the optics are a camera profile's business
+            if field.name != "optics":
+                yield from _leaves(inner, prefix=f"{prefix}{field.name}.")
+        elif isinstance(inner, bool | int | float):
+            yield f"{prefix}{field.name}", inner
+
+
+def changed(config: SimConfig, assignments: Iterable[str]) -> SimConfig:
+    """The configuration with `NAME=VALUE` assignments made.
+
+    Raises:
+        UsageError: no such name, or no such value; the message says what there is.
+    """
+    for assignment in assignments:
+        name, equals, text = assignment.partition("=")
+        known = names(config)
+        if name not in known:
+            raise UsageError(f"--set {assignment}: no such number; there are {', '.join(sorted(known))}")
+        value = _parsed(text, known[name]) if equals else None
+        if value is None or not _makes_sense(name, value):
+            kind = "true or false" if isinstance(known[name], bool) else _accepted(name)
+            raise UsageError(f"--set {assignment}: accepted is {name}= and {kind} (default {known[name]})")
+        config = _with(config, name.split("."), value)
+    return config
+
+
+def _parsed(text: str, like: float | bool) -> float | bool | None:
+    if isinstance(like, bool):
+        return {"true": True, "1": True, "false": False, "0": False}.get(text.lower())
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    if not math.isfinite(value):
+        return None
+    return int(value) if isinstance(like, int) else value
+
+
+def _makes_sense(name: str, value: float | bool) -> bool:
+    leaf = name.rpartition(".")[2]
+    if isinstance(value, bool) or leaf in _ANY_SIGN:
+        return True
+    return value > 0 if leaf in _NOT_ZERO else value >= 0
+
+
+def _accepted(name: str) -> str:
+    leaf = name.rpartition(".")[2]
+    if leaf in _ANY_SIGN:
+        return "a finite number"
+    return "a number above 0" if leaf in _NOT_ZERO else "a number of at least 0"
+
+
+def _with(value: Any, path: list[str], leaf: float | bool) -> Any:
+    inner = leaf if len(path) == 1 else _with(getattr(value, path[0]), path[1:], leaf)
+    return dataclasses.replace(value, **{path[0]: inner})
+
+
+def to_json(config: SimConfig) -> dict[str, Any]:
+    """A document that `from_json` makes the same configuration of."""
+    document: dict[str, Any] = dataclasses.asdict(config, dict_factory=_plain)
+    return document
+
+
+def _plain(items: list[tuple[str, Any]]) -> dict[str, Any]:
+    return {name: str(value) if isinstance(value, Path) else value for name, value in items}
+
+
+def from_json(document: dict[str, Any]) -> SimConfig:
+    """The configuration of a document that `to_json` made."""
+    config: SimConfig = _built(SimConfig, document)
+    return config
+
+
+def _built(kind: Any, value: Any) -> Any:
+    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+        hints = typing.get_type_hints(kind)
+        return kind(**{name: _built(hints[name], inner) for name, inner in value.items()})
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (types.UnionType, typing.Union):
+        real = next(k for k in arguments if k is not type(None))
+        return None if value is None else _built(real, value)
+    if origin is tuple:
+        kinds = itertools.repeat(arguments[0]) if arguments[-1] is Ellipsis else arguments
+        return tuple(_built(inner_kind, inner) for inner_kind, inner in zip(kinds, value, strict=False))
+    return Path(value) if kind is Path else value

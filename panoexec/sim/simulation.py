@@ -1,0 +1,224 @@
+"""All parts of one simulated vehicle, advanced in simulated time. No sockets, no event loop, no wall clock."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+from panoexec.sim.airframe import Airframe
+from panoexec.sim.camera import Exposure
+from panoexec.sim.camera_component import Fix
+from panoexec.sim.config import SimConfig
+from panoexec.sim.darkroom import Negative
+from panoexec.sim.faults import Faults
+from panoexec.sim.gimbal import GimbalPhysics, quaternion
+from panoexec.sim.payload import Payload
+from panoexec.sim.trigger import CameraTrigger
+from panoexec.sim.vehicle import THIEF, Vehicle
+from panoexec.sim.wire import Link, LocalLink, Receiver
+from panoexec.sim.world import Repeater, SimClock, Timeline, TruthLog
+
+_CHUNK_S = 0.02
+"""Longest stretch of wall time in which the simulation does not look at its sockets."""
+_FAULT_S = 0.02
+_HEADING_HOLD_S = 0.2
+
+
+class Simulation:
+    """The vehicle with its payload, or only the payload; joined to the world by one link.
+
+    Attributes:
+        timeline: what is due when.
+        vehicle: the embedded autopilot, None when only the payload is simulated.
+        payload: gimbal and camera components.
+        receiver: what the link's messages go to.
+    """
+
+    receiver: Receiver
+
+    def __init__(
+        self,
+        config: SimConfig,
+        *,
+        clock: SimClock,
+        link: Link,
+        truth: TruthLog,
+        develop: Callable[[Negative], None] | None = None,
+    ) -> None:
+        self.config = config
+        self.clock = clock
+        self.timeline = Timeline()
+        self.faults = Faults(config.faults, seed=config.seed)
+        self.physics = GimbalPhysics(config.gimbal, seed=config.seed, step_s=config.step_s)
+        self.airframe = Airframe(config.airframe, seed=config.seed)
+        self.vehicle: Vehicle | None = None
+        self._to_darkroom = develop
+        self._truth = truth
+        self._steps = 0
+        self._photos = 0
+        self._first_number = _next_number(config.output)
+        if config.attach_url is None:
+            inner, outer = LocalLink.pair("payload", "vehicle")
+            self.payload = self._make_payload(inner)
+            self.vehicle = self._make_vehicle(link, outer)
+            inner.receiver, outer.receiver = self.payload.receive, self.vehicle.receive_payload
+            self.receiver = self.vehicle.receive_ground
+        else:
+            self.payload = self._make_payload(link)
+            self.receiver = self.payload.receive
+        self.physics.start_at(self._heading())
+        Repeater(self.timeline, self._apply_faults).start(_FAULT_S)
+
+    def _make_payload(self, link: Link) -> Payload:
+        return Payload(
+            self.config,
+            clock=self.clock,
+            timeline=self.timeline,
+            physics=self.physics,
+            faults=self.faults,
+            link=link,
+            develop=self._develop,
+        )
+
+    def _make_vehicle(self, ground: Link, bus: Link) -> Vehicle:
+        trigger = None
+        if self.config.camera_kind == "servo":
+            trigger = CameraTrigger(
+                self.config,
+                clock=self.clock,
+                timeline=self.timeline,
+                physics=self.physics,
+                faults=self.faults,
+                develop=self._develop,
+            )
+        return Vehicle(
+            self.config,
+            clock=self.clock,
+            timeline=self.timeline,
+            airframe=self.airframe,
+            physics=self.physics,
+            faults=self.faults,
+            ground=ground,
+            payload=bus,
+            trigger=trigger,
+        )
+
+    def start(self) -> None:
+        """Start all components; time begins."""
+        self._truth.write("start", 0.0, {"seed": self.config.seed, "camera": asdict(self.config.camera.optics)})
+        if self.vehicle is not None:
+            self.vehicle.start()
+            if self.config.mount == "mavlink":
+                self.payload.gimbal.start()
+            if self.config.camera_kind == "mavlink":
+                self.payload.camera.start()
+        else:
+            self.payload.start()
+
+    @property
+    def photos(self) -> int:
+        """Exposures made so far."""
+        return self._photos
+
+    def _heading(self) -> float:
+        """The vehicle's heading as its autopilot estimates it."""
+        if self.vehicle is not None:
+            return self.airframe.true_yaw_deg() + self.physics.heading_error_deg
+        gimbal = self.payload.gimbal
+        if math.isnan(gimbal.vehicle_yaw_deg):  # not told yet
+            return 0.0
+        age = min(self.timeline.now_s - gimbal.vehicle_yaw_time_s, _HEADING_HOLD_S)
+        return gimbal.vehicle_yaw_deg + gimbal.vehicle_yaw_rate_deg_s * age
+
+    def advance(self, to_s: float, *, budget_s: float = _CHUNK_S) -> None:
+        """Run physics and events up to simulated time `to_s`, or as far as `budget_s` of wall time goes."""
+        step, timeline = self.config.step_s, self.timeline
+        deadline = time.monotonic() + budget_s
+        while True:
+            next_step = (self._steps + 1) * step
+            if next_step > to_s:
+                break
+            timeline.run_until(next_step - 1e-9)
+            self._steps += 1
+            self.airframe.step(step)
+            self.physics.step(self._heading())
+            if self._steps % 16 == 0 and time.monotonic() > deadline:
+                return
+        timeline.run_until(to_s)
+
+    @property
+    def next_s(self) -> float:
+        """When the next thing is due."""
+        return min(self.timeline.next_s, (self._steps + 1) * self.config.step_s)
+
+    def _apply_faults(self) -> None:
+        faults, now = self.faults, self.timeline.now_s
+        self.physics.stuck = faults.active("gimbal-stuck", now)
+        self.physics.slowness = faults.size("gimbal-slow") if faults.active("gimbal-slow", now) else 1.0
+        wind = self.config.airframe.wind_m_s + (faults.size("gust") if faults.active("gust", now) else 0.0)
+        self.physics.wind_m_s = self.airframe.wind_m_s = wind
+        full = faults.active("storage-full", now)
+        self.payload.camera.model.storage_full = full
+        if faults.fires("clock-jump", now):
+            self.clock.jump_s += faults.size("clock-jump")
+        if faults.fires("battery-low", now):
+            self.airframe.battery_frac = faults.size("battery-low")
+        vehicle = self.vehicle
+        if vehicle is not None:
+            if faults.fires("reboot", now):
+                vehicle.reboot(faults.size("reboot"))
+            if faults.fires("control-stolen", now):
+                vehicle.manager.steal(THIEF)
+            if faults.fires("mode-change", now):
+                vehicle.modes.set(vehicle.modes.pilot_mode)
+
+    def _develop(self, exposure: Exposure, fix: Fix | None) -> str:
+        """Send a photo to the darkroom, write the truth about it; the file's URL."""
+        output = self.config.output
+        self._photos += 1
+        name = f"IMG_{self._first_number + exposure.index - self.config.camera.index_start:05d}.jpg"
+        nose = self.physics.nose_deg
+        self._truth.write(
+            "exposure",
+            exposure.start_s,
+            {
+                "image_index": exposure.index,
+                "file": name,
+                "end_s": round(exposure.end_s, 4),
+                "true_yaw_roll_pitch_deg": [list(angles) for angles in exposure.truth],
+                "estimated_yaw_roll_pitch_deg": list(exposure.estimate),
+                "measured_yaw_roll_pitch_deg": list(exposure.measured),
+                "heading_error_deg": self.physics.heading_error_deg,
+                "vehicle_heading_deg": nose,
+                "target": asdict(self.physics.target),
+                "wind_m_s": self.physics.wind_m_s,
+            },
+        )
+        if output is None or self._to_darkroom is None:
+            return name
+        path = output.absolute() / name
+        self._to_darkroom(
+            Negative(
+                path=str(path),
+                truth_deg=tuple((a.yaw_deg, a.roll_deg, a.pitch_deg) for a in exposure.truth),
+                q_wxyz=quaternion(exposure.measured),
+                time_utc_s=self.clock.utc(exposure.start_s),
+                exposure_s=self.config.camera.exposure_s,
+                position=None
+                if fix is None
+                else (fix.latitude_deg, fix.longitude_deg, fix.altitude_m, fix.relative_altitude_m),
+                flight_yaw_deg=nose,
+            )
+        )
+        return path.as_uri()
+
+
+def _next_number(output: Path | None) -> int:
+    """The first photo number that does not overwrite a file of an earlier run."""
+    if output is None:
+        return 1
+    taken = [int(path.stem[4:]) for path in output.glob("IMG_*.jpg") if path.stem[4:].isdigit()]
+    return max(taken, default=0) + 1
