@@ -13,6 +13,9 @@ AutopilotKind: TypeAlias = Literal["ardupilot", "px4"]
 MountKind: TypeAlias = Literal["mavlink", "servo"]
 CameraKind: TypeAlias = Literal["mavlink", "servo"]
 
+DEFAULT_PORTS = (14540, 14550)
+"""Where programs and where ground stations listen by custom."""
+
 DEFAULT_CAMERA = Camera(
     name="simulated",
     sensor_width_mm=17.3,
@@ -151,7 +154,7 @@ class SimConfig:
 
     Attributes:
         host, port: where the vehicle sends its messages (a ground station or MAVSDK listens there), or with `listen`
-            where it waits for them.
+            where it waits for them. Without a port it sends to both of `DEFAULT_PORTS`, as PX4's SITL does.
         listen: wait on `port` for whoever talks first, instead of sending to it.
         autopilot: whose habits to show.
         mount: `mavlink`: a gimbal device of its own (ArduPilot's MNT1_TYPE 6); `servo`: driven by the autopilot, which
@@ -170,7 +173,7 @@ class SimConfig:
     """
 
     host: str = "127.0.0.1"
-    port: int = 14550
+    port: int | None = None
     listen: bool = False
     autopilot: AutopilotKind = "ardupilot"
     mount: MountKind = "mavlink"

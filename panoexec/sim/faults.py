@@ -77,7 +77,7 @@ FAULTS: dict[str, Fault] = {
         probability=0.3,
     ),
     "control-stolen": Fault(kind=Kind.ONCE, text="another station (255/190) takes the gimbal and points it ahead"),
-    "mode-change": Fault(kind=Kind.ONCE, text="the pilot changes the flight mode to LOITER (PX4: POSCTL)"),
+    "mode-change": Fault(kind=Kind.ONCE, text="the pilot changes the flight mode to STABILIZE"),
     "photo-lost": Fault(kind=Kind.PHOTO, text="the photo command is lost on its way: no answer, no photo"),
     "photo-refused": Fault(kind=Kind.PHOTO, text="the camera refuses the photo command"),
     "capture-lost": Fault(kind=Kind.PHOTO, text="the photo is taken, its message is lost"),

@@ -18,6 +18,8 @@ from panoexec.sim.world import Repeater, Timeline
 COMPONENT_ID = mavlink.MAV_COMP_ID_GIMBAL
 VENDOR, MODEL = "panoexec", "simulated gimbal"
 _ATTITUDE_S = 0.02
+_LIMIT_MARGIN_DEG = 0.05
+"""ArduPilot makes whole degrees of the limits, rounding towards 0: an exact -90 would become -89 and hide the nadir."""
 _UID = 0x50414E4F0154
 
 _CAPABILITIES = bitmask(
@@ -162,7 +164,8 @@ class GimbalComponent:
 
     def _information(self) -> Message:
         c = self.physics.config
-        yaw = (-math.pi, math.pi) if c.yaw_endless else (math.radians(c.yaw.min_deg), math.radians(c.yaw.max_deg))
+        limits = (c.roll.min_deg, c.roll.max_deg, c.pitch.min_deg, c.pitch.max_deg)
+        yaw = (-180.0, 180.0) if c.yaw_endless else (c.yaw.min_deg, c.yaw.max_deg)
         return mavlink.MAVLink_gimbal_device_information_message(
             self._boot_ms(),
             VENDOR.encode(),
@@ -173,10 +176,6 @@ class GimbalComponent:
             _UID,
             _CAPABILITIES,
             0,
-            math.radians(c.roll.min_deg),
-            math.radians(c.roll.max_deg),
-            math.radians(c.pitch.min_deg),
-            math.radians(c.pitch.max_deg),
-            *yaw,
+            *(math.radians(limit + math.copysign(_LIMIT_MARGIN_DEG, limit)) for limit in (*limits, *yaw)),
             0,
         )

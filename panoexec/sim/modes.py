@@ -63,7 +63,7 @@ class ModeBook:
     @property
     def pilot_mode(self) -> str:
         """Where a pilot who takes over goes."""
-        return "POSCTL" if self._is_px4 else "ALT_HOLD"
+        return "STABILIZED" if self._is_px4 else "STABILIZE"
 
     @property
     def land_mode(self) -> str:

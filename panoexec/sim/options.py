@@ -21,9 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     link.add_argument(
         "--port",
         type=int,
-        default=14550,
         metavar="N",
-        help="UDP port that MAVSDK or a ground station listens on (14550); with --listen the port to wait on",
+        help="UDP port that MAVSDK or a ground station listens on (14540 and 14550); with --listen the port to wait on",
     )
     link.add_argument("--host", default="127.0.0.1", help="where that port is (127.0.0.1)")
     link.add_argument("--listen", action="store_true", help="wait on the port for a client, instead of sending to it")
@@ -81,7 +80,7 @@ def config_of(args: argparse.Namespace, camera: CameraConfig | None = None) -> S
     """
     config = SimConfig(
         host=args.host,
-        port=_within(args.port, 1, 65535, "--port"),
+        port=None if args.port is None else _within(args.port, 1, 65535, "--port"),
         listen=args.listen,
         autopilot=args.autopilot,
         mount=args.mount,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from panoexec.errors import LinkError, UsageError
-from panoexec.sim.config import SimConfig
+from panoexec.sim.config import DEFAULT_PORTS, SimConfig
 from panoexec.sim.darkroom import Darkroom
 from panoexec.sim.faults import AUTOPILOT_FAULTS
 from panoexec.sim.simulation import Simulation
@@ -31,8 +31,11 @@ class Ready:
     """The vehicle is there: how to connect to it."""
 
     config: SimConfig
-    port: int
-    """Bound or sent to."""
+
+    @property
+    def port(self) -> int:
+        """The first port bound or sent to."""
+        return self.config.port or DEFAULT_PORTS[0]
 
     @property
     def connect(self) -> str:
@@ -146,7 +149,7 @@ class Server:
     async def _serve(self, simulation: Simulation, outlet: _Outlet, darkroom: Darkroom | None) -> Summary:
         self._adopt(outlet.link, simulation)
         simulation.start()
-        self._on_ready(Ready(config=self._config, port=self._config.port))
+        self._on_ready(Ready(config=self._config))
         async with asyncio.TaskGroup() as tasks:
             developing = tasks.create_task(darkroom.run(), name="darkroom") if darkroom else None
             turning = tasks.create_task(self._turn(simulation), name="simulation")
@@ -288,8 +291,8 @@ async def _open_link(config: SimConfig) -> UdpLink | TcpLink:
     if config.attach_url is not None:
         return await attach(config.attach_url)
     if config.listen:
-        return UdpLink.waiting_on("ground", config.host, config.port)
-    return UdpLink.sending_to("ground", config.host, config.port)
+        return UdpLink.waiting_on("ground", config.host, config.port or DEFAULT_PORTS[0])
+    return UdpLink.sending_to("ground", config.host, [config.port] if config.port else DEFAULT_PORTS)
 
 
 async def simulate(

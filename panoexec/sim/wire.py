@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import errno
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeAlias
 from urllib.parse import urlsplit
 
@@ -125,20 +125,19 @@ class _SocketLink:
 class UdpLink(_SocketLink):
     """A UDP socket; a datagram a message. Learns where its peer is from what arrives, unless it was told."""
 
-    def __init__(self, name: str, sock: socket.socket, remote: tuple[str, int] | None) -> None:
+    def __init__(self, name: str, sock: socket.socket, remotes: Sequence[tuple[str, int]]) -> None:
         super().__init__(name, sock)
-        self._told = remote
-        self._remote = remote
+        self._learns = not remotes
+        self._remotes = tuple(remotes)
 
     @staticmethod
-    def sending_to(name: str, host: str, port: int) -> UdpLink:
-        """Send to `host:port` from any free port, as ArduPilot's SITL and PX4 do.
+    def sending_to(name: str, host: str, ports: Sequence[int]) -> UdpLink:
+        """Send to ports of a host from any free port, as ArduPilot's SITL and PX4's do.
 
         Raises:
             LinkError: the host is unknown.
         """
-        address = _resolve(host, port)
-        return UdpLink(name, _udp_socket(), address)
+        return UdpLink(name, _udp_socket(), [_resolve(host, port) for port in ports])
 
     @staticmethod
     def waiting_on(name: str, host: str, port: int) -> UdpLink:
@@ -153,18 +152,17 @@ class UdpLink(_SocketLink):
         except OSError as error:
             sock.close()
             raise _cannot_listen("UDP", host, port, error) from error
-        return UdpLink(name, sock, None)
+        return UdpLink(name, sock, ())
 
     def send(self, frame: bytes, message: Message) -> None:
         """See `Link.send`."""
         del message
-        if self._remote is None:
-            return
-        try:
-            self._socket.sendto(frame, self._remote)
-        except OSError:
-            # nobody listens yet, or the buffer is full: UDP loses datagrams, and so may this
-            self.lost += 1
+        for remote in self._remotes:
+            try:
+                self._socket.sendto(frame, remote)
+            except OSError:
+                # nobody listens yet, or the buffer is full: UDP loses datagrams, and so may this
+                self.lost += 1
 
     def _readable(self) -> None:
         while True:
@@ -175,8 +173,8 @@ class UdpLink(_SocketLink):
             except OSError:
                 # the peer's "port unreachable" comes back as an error of the next call
                 continue
-            if self._told is None:
-                self._remote = (source[0], source[1])
+            if self._learns:
+                self._remotes = ((source[0], source[1]),)
             self._feed(data)
 
 
@@ -281,5 +279,5 @@ async def attach(url: str, *, patience_s: float = 30.0) -> UdpLink | TcpLink:
     if scheme == "tcp":
         return await TcpLink.connect("autopilot", host, port, patience_s=patience_s)
     if scheme == "udpout":
-        return UdpLink.sending_to("autopilot", host, port)
+        return UdpLink.sending_to("autopilot", host, [port])
     return UdpLink.waiting_on("autopilot", host, port)
