@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from panoexec.clock import Clock
-from panoexec.devices import Camera, Gimbal, PendingCapture
+from panoexec.devices import Camera, EvidenceLevel, Gimbal, PendingCapture
 from panoexec.errors import DeviceError
 from panoexec.mission.pace import slew_time_s
 from panoexec.mission.preflight import gimbal_limits
@@ -150,8 +150,7 @@ class Shooter:
             self._last_trigger_s = capture.commanded_s
             captures.append(capture)
             stamps.append(self.clock.time() - (self.clock.monotonic() - capture.commanded_s))
-            end_s = capture.commanded_s + self.settings.exposure_bound_s
-            await self.clock.sleep(end_s - self.clock.monotonic())
+            end_s = await self._exposure_end(capture)
         if not captures:
             return NotSettled(code="trigger", reason=failure)
         return Exposure(
@@ -161,6 +160,24 @@ class Shooter:
             trigger_delay_s=captures[0].commanded_s - settled.settled_s,
             failure=failure,
         )
+
+    async def _exposure_end(self, capture: PendingCapture) -> float:
+        """Return when the exposure has ended, and when that was: proven by the camera, else bounded by its latency.
+
+        A camera reports a photo after its shutter closed; a feedback pin tells when it opened.
+        """
+        bound_s = self.settings.exposure_bound_s
+        latest_s = capture.commanded_s + bound_s
+        try:
+            found = await capture.evidence(EvidenceLevel.FEEDBACK_PIN, bound_s)
+        except DeviceError:
+            found = None
+        if found is not None and found.level >= EvidenceLevel.CAPTURE_MESSAGE:
+            latest_s = min(latest_s, found.received_s)
+        elif found is not None and found.level >= EvidenceLevel.FEEDBACK_PIN:
+            latest_s = min(latest_s, found.received_s + self.settings.exposure_s)
+        await self.clock.sleep(latest_s - self.clock.monotonic())
+        return latest_s
 
     def _target(self, shot: Shot) -> Target:
         return Target(pitch_deg=shot.pitch_deg, yaw_deg=shot.yaw_deg, tolerance=self.settings.tolerance)

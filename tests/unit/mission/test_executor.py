@@ -69,12 +69,19 @@ def test_the_next_slew_begins_when_the_exposure_ends_not_when_the_proof_arrives(
         world.camera.proof_after_s = 0.8
 
     world = fly(prepare=slow_proof)
+    assert world.record.state is S.COMPLETE
     ends = [photo.triggered_s + world.settings.exposure_bound_s for photo in world.camera.photos]
     slews = [at for at, _, _ in world.gimbal.commands[1:]]
     for end, slew in zip(ends, slews, strict=False):
         assert end <= slew <= end + 0.01
     for event in world.sink.of(ev.ShotAccepted):
         assert event.photos[0].evidence is EvidenceLevel.CAPTURE_MESSAGE
+
+
+def test_an_early_proof_ends_the_exposure_earlier_than_the_latency_bound() -> None:
+    world = fly(prepare=lambda w: setattr(w.camera, "proof_after_s", 0.05))
+    for photo, (slew, _, _) in zip(world.camera.photos, world.gimbal.commands[1:], strict=False):
+        assert photo.ended_s + 0.05 <= slew <= photo.ended_s + 0.06
 
 
 def test_the_trigger_follows_the_end_of_the_settle_time_at_once() -> None:
