@@ -39,6 +39,9 @@ DEFAULT_STREAMS: Final = (
     Stream(message_id=33, name="GLOBAL_POSITION_INT", rate_hz=10.0, idle_rate_hz=2.0),
     Stream(message_id=1, name="SYS_STATUS", rate_hz=1.0, idle_rate_hz=1.0),
     Stream(message_id=245, name="EXTENDED_SYS_STATE", rate_hz=1.0, idle_rate_hz=1.0),
+    # of these two, ArduPilot has the first and PX4 the second
+    Stream(message_id=193, name="EKF_STATUS_REPORT", rate_hz=1.0, idle_rate_hz=0.5),
+    Stream(message_id=230, name="ESTIMATOR_STATUS", rate_hz=1.0, idle_rate_hz=0.5),
 )
 
 

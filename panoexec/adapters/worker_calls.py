@@ -37,12 +37,16 @@ class WorkerCalls:
 
     async def run(self, call: Callable[[], T]) -> T:
         """Run `call` in a thread and return its result; a cancelled `await` leaves the call running to its end."""
+        return await self.submit(call)
+
+    def submit(self, call: Callable[[], T]) -> asyncio.Future[T]:
+        """Run `call` in a thread; on the event loop."""
         loop = asyncio.get_running_loop()
         future: asyncio.Future[T] = loop.create_future()
         self._busy += 1
         self._idle.clear()
         self._jobs.put((call, loop, future))
-        return await future
+        return future
 
     async def drain(self, timeout_s: float) -> bool:
         """Wait until no call runs, at most `timeout_s` (real seconds); False if some still do."""

@@ -1,0 +1,150 @@
+"""What the vehicle says of itself, and how to tell its pilot something."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from functools import partial
+from types import TracebackType
+from typing import Final, Self
+
+from mavsdk.plugins.telemetry import FlightMode, Telemetry
+
+from panoexec.adapters.mavsdk_link import MavsdkLink
+from panoexec.adapters.message_hub import MavMessage
+from panoexec.adapters.stream_keeper import AUTOPILOT
+from panoexec.devices import VehicleStatus
+
+_SAFETY_ARMED: Final = 128
+_GPS: Final = 0x20
+_POSITION_ABSOLUTE: Final = 16
+_CONSTANT_POSITION: Final = 128
+_IN_AIR: Final = frozenset({2, 3, 4})
+"""MAV_LANDED_STATE: in air, taking off, landing."""
+
+_POSITION_STALE_S: Final = 5.0
+_UNKNOWN_HEADING: Final = 65535
+
+
+class MavsdkVehicle:
+    """Implements `Vehicle`; an async context manager on an open link.
+
+    Read from the messages, but for the flight mode, which MAVSDK names for each kind of autopilot.
+    """
+
+    def __init__(self, link: MavsdkLink) -> None:
+        """Describe it; entering the context starts to listen."""
+        self._link = link
+        self._off: list[Callable[[], None]] = []
+        self._armed = False
+        self._in_air = False
+        self._mode = ""
+        self._battery_frac = math.nan
+        self._position = (math.nan,) * 5
+        self._position_s = -math.inf
+        self._gps_ok = False
+        self._estimator_ok: bool | None = None
+
+    @property
+    def status(self) -> VehicleStatus:
+        """See `Vehicle.status`."""
+        latitude_deg, longitude_deg, altitude_m, relative_altitude_m, heading_deg = self._position
+        fresh = time.monotonic() - self._position_s < _POSITION_STALE_S
+        trusted = self._gps_ok if self._estimator_ok is None else self._estimator_ok
+        return VehicleStatus(
+            connected=self._link.connected,
+            armed=self._armed,
+            in_air=self._in_air,
+            mode=self._mode,
+            heading_deg=heading_deg,
+            latitude_deg=latitude_deg,
+            longitude_deg=longitude_deg,
+            altitude_m=altitude_m,
+            relative_altitude_m=relative_altitude_m,
+            battery_frac=self._battery_frac,
+            position_ok=trusted and fresh,
+            boot_count=self._link.boot_count,
+        )
+
+    async def say(self, text: str) -> None:
+        """See `Vehicle.say`."""
+        await self._link.say(text)
+
+    async def __aenter__(self) -> Self:
+        """Start to listen."""
+        on = self._link.on
+        self._off = [
+            on("HEARTBEAT", self._heartbeat),
+            on("GLOBAL_POSITION_INT", self._global_position),
+            on("SYS_STATUS", self._sys_status),
+            on("EXTENDED_SYS_STATE", self._extended_sys_state),
+            on("EKF_STATUS_REPORT", self._estimator),
+            on("ESTIMATOR_STATUS", self._estimator),
+            self._link.when_attached(self._attach),
+            self._link.when_back(self._came_back),
+        ]
+        return self
+
+    async def __aexit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Stop listening."""
+        for off in self._off:
+            off()
+
+    # --- in the vendor's thread; each assignment is whole, so that the loop reads a value or the one before
+
+    def _heartbeat(self, message: MavMessage) -> None:
+        if message.component_id == AUTOPILOT:
+            self._armed = bool(int(message.fields["base_mode"]) & _SAFETY_ARMED)
+
+    def _global_position(self, message: MavMessage) -> None:
+        if message.component_id != AUTOPILOT:
+            return
+        fields = message.fields
+        heading = int(fields["hdg"])
+        known = fields["lat"] != 0 or fields["lon"] != 0
+        self._position = (
+            fields["lat"] / 1e7 if known else math.nan,
+            fields["lon"] / 1e7 if known else math.nan,
+            fields["alt"] / 1e3 if known else math.nan,
+            fields["relative_alt"] / 1e3,
+            math.nan if heading == _UNKNOWN_HEADING else heading / 100.0 % 360.0,
+        )
+        self._position_s = time.monotonic()
+
+    def _sys_status(self, message: MavMessage) -> None:
+        if message.component_id != AUTOPILOT:
+            return
+        fields = message.fields
+        remaining = int(fields["battery_remaining"])
+        self._battery_frac = remaining / 100.0 if remaining >= 0 else math.nan
+        self._gps_ok = all(
+            int(fields[f"onboard_control_sensors_{kind}"]) & _GPS for kind in ("present", "enabled", "health")
+        )
+
+    def _extended_sys_state(self, message: MavMessage) -> None:
+        if message.component_id == AUTOPILOT:
+            self._in_air = int(message.fields["landed_state"]) in _IN_AIR
+
+    def _estimator(self, message: MavMessage) -> None:
+        if message.component_id == AUTOPILOT:
+            flags = int(message.fields["flags"])
+            self._estimator_ok = bool(flags & _POSITION_ABSOLUTE) and not flags & _CONSTANT_POSITION
+
+    def _flight_mode(self, mode: FlightMode, _user_data: object) -> None:
+        self._mode = mode.name
+
+    # --- on the loop
+
+    def _attach(self) -> None:
+        plugin = self._link.plugin(Telemetry)
+        handle = plugin.subscribe_flight_mode(self._flight_mode)
+        self._off.append(partial(plugin.unsubscribe_flight_mode, handle))
+
+    def _came_back(self) -> None:
+        """What was true before a reboot may not be true after it."""
+        self._estimator_ok = None
+        self._gps_ok = False
+        self._position_s = -math.inf
