@@ -37,7 +37,8 @@ from panoexec.planning.ring import cap_radius_deg, ring
 _LEAST_OVERLAP = 1e-9
 """Thresholds below this count as this: any angle has an overlap of at least 0."""
 _MARGIN_DEG = 1e-3
-"""Neighbouring rings meet by at least this much, far above the rounding of their borders."""
+"""Rings overlap each other and the band's ends by at least this much, far above the rounding of their borders."""
+_COUNTS_TRIED = 120
 _SHRINK = 0.97
 _SHRINKS = 60
 
@@ -88,8 +89,8 @@ def pan_step_deg(camera: Camera, pitch_deg: float, overlap_h: float) -> float:
     def overlap(angles_deg: FloatArray) -> FloatArray:
         return pairwise_overlap(camera, fixed, rotation(angles_deg, pitch_deg))
 
-    points = min(max(181, math.ceil(8 * 180 / camera.hfov_deg)), 20_001)
-    return _largest_angle(overlap, max(overlap_h, _LEAST_OVERLAP), 180.0, points)
+    # overlap only rises again where an image is as large as its distance from the pole, so not within a degree of pan
+    return _largest_angle(overlap, max(overlap_h, _LEAST_OVERLAP), 180.0, 181)
 
 
 def _largest_angle(
@@ -186,8 +187,9 @@ class _Layout:
         if abs(elevation_deg) == 90.0:
             return cap
         usual = max(self.paper_row(max(-89.9, min(89.9, pitch))).count for pitch in (natural, elevation_deg))
+        tried = np.linspace(1, 2 * usual + 7, min(2 * usual + 7, _COUNTS_TRIED))
         options = []
-        for count in range(1, 2 * usual + 8):
+        for count in sorted({round(float(number)) for number in tried}):
             pitch = self._end_pitch(elevation_deg, side, count)
             if pitch is not None:
                 row = self._row(pitch, count)
@@ -206,12 +208,12 @@ class _Layout:
         """The pitch furthest from the band's end at which a row of `count` images covers that end."""
         reach = self._row(0.0, count).spacing_deg / 2
         fov = self.camera.vfov_deg
-        first, last = elevation_deg - side * fov / 2, elevation_deg + side * fov / 2
+        first, last = elevation_deg - side * fov / 2, elevation_deg + side * fov / 2 + side * 2 * _MARGIN_DEG
         pitches = np.linspace(first, last, 257)
         for _ in range(8):
             pitches = np.clip(pitches, -90.0, 90.0)
             low, high = ring(self.camera, pitches, reach)
-            reaches = (high if side > 0 else -low) >= side * elevation_deg
+            reaches = (high if side > 0 else -low) >= side * elevation_deg + _MARGIN_DEG
             reaches &= low < high
             if not reaches.any():
                 return None
@@ -253,6 +255,6 @@ def _notes(rows: list[Row], layout: _Layout, shrinks: int) -> tuple[str, ...]:
         if row.count > published:
             notes.append(
                 f"row at {row.pitch_deg:.1f}°: {row.count} images instead of Algorithm 2's {published}, "
-                "or gaps would remain to the next row"
+                "to leave no gap to the next row or the band's end"
             )
     return tuple(notes)
