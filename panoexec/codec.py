@@ -18,7 +18,10 @@ T = TypeVar("T")
 
 
 def encode(value: Any) -> dict[str, Any]:
-    """A dataclass as a JSON object: tuples become lists, numbered enums their names in lower case, NaN becomes null."""
+    """A dataclass as a JSON object: tuples become lists, numbered enums their names in lower case.
+
+    NaN becomes null, and so does infinity, which is read as NaN.
+    """
     return {f.name: _encode(getattr(value, f.name)) for f in dataclasses.fields(value)}
 
 
@@ -56,14 +59,8 @@ def _encode(value: Any) -> Any:
 
 
 def _decode(hint: Any, value: Any) -> Any:
-    origin = typing.get_origin(hint)
-    if origin in {types.UnionType, typing.Union}:
-        inner = next(arg for arg in typing.get_args(hint) if arg is not type(None))
-        return None if value is None else _decode(inner, value)
-    if origin is tuple:
-        args = typing.get_args(hint)
-        kinds = [args[0]] * len(value) if len(args) == 2 and args[1] is Ellipsis else args
-        return tuple(_decode(kind, item) for kind, item in zip(kinds, value, strict=True))
+    if typing.get_origin(hint) is not None:
+        return _decode_generic(hint, value)
     if hint is float:
         return math.nan if value is None else float(value)
     if isinstance(hint, type) and issubclass(hint, IntEnum):
@@ -73,3 +70,17 @@ def _decode(hint: Any, value: Any) -> Any:
     if hint in {str, int, bool} and type(value) is not hint:
         raise TypeError(f"expected {hint.__name__}, got {value!r}")
     return hint(value)
+
+
+def _decode_generic(hint: Any, value: Any) -> Any:
+    origin = typing.get_origin(hint)
+    if origin in {types.UnionType, typing.Union}:
+        inner = next(arg for arg in typing.get_args(hint) if arg is not type(None))
+        return None if value is None else _decode(inner, value)
+    if origin is tuple:
+        args = typing.get_args(hint)
+        kinds = [args[0]] * len(value) if len(args) == 2 and args[1] is Ellipsis else args
+        return tuple(_decode(kind, item) for kind, item in zip(kinds, value, strict=True))
+    if origin is typing.Literal and value in typing.get_args(hint):
+        return value
+    raise ValueError(f"{value!r} is no {hint}")

@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote, urlsplit
 
 from panoexec import events as ev
 from panoexec.angles import rotation
@@ -105,7 +106,7 @@ class ManifestWriter:
         record, plan = self._record, self._plan
         for index, shot in record.shots.items():
             if index not in self._shots:
-                self._shots[index] = _shot_json(shot, record.reference_yaw_north_deg)
+                self._shots[index] = _shot_json(shot, record.reference_yaw_north_deg, self._path.parent)
         certificate = self._certificate()
         tolerance = plan.constraints.tolerance
         return {
@@ -166,8 +167,9 @@ def iso_utc(time_utc_s: float) -> str | None:
     return datetime.fromtimestamp(time_utc_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
-def _shot_json(record: ShotRecord, reference_yaw_north_deg: float) -> dict[str, Any]:
+def _shot_json(record: ShotRecord, reference_yaw_north_deg: float, folder: Path) -> dict[str, Any]:
     shot, accepted = record.shot, record.accepted
+    attempts = [_attempt_json(attempt, folder) for attempt in record.attempts]
     return {
         "index": shot.index,
         "row": shot.row,
@@ -177,14 +179,18 @@ def _shot_json(record: ShotRecord, reference_yaw_north_deg: float) -> dict[str, 
         "target": _pose_json(pose_of(rotation(shot.yaw_deg, shot.pitch_deg)))
         | {"yaw_north_deg": _number(to_north(shot.yaw_deg, reference_yaw_north_deg))},
         "accepted_attempt": None if accepted is None else accepted.number,
-        "file": accepted.photos[0].file if accepted is not None and accepted.photos else "",
-        "attempts": [_attempt_json(attempt) for attempt in record.attempts],
+        "file": "" if accepted is None else attempts[accepted.number - 1]["file"],
+        "attempts": attempts,
     }
 
 
-def _attempt_json(attempt: AttemptRecord) -> dict[str, Any]:
+def _attempt_json(attempt: AttemptRecord, folder: Path) -> dict[str, Any]:
     exposed = attempt.exposed
     photo = attempt.photos[0] if attempt.photos else None
+    photos = [
+        encode(item) | {"capture_time": iso_utc(item.capture_time_utc_s), "file": file_name(item.file, folder)}
+        for item in attempt.photos
+    ]
     out: dict[str, Any] = {
         "number": attempt.number,
         "round": attempt.round,
@@ -199,8 +205,8 @@ def _attempt_json(attempt: AttemptRecord) -> dict[str, Any]:
         "samples": 0,
         "evidence": "none" if attempt.evidence is None else attempt.evidence.name.lower(),
         "capture_time": None if photo is None else iso_utc(photo.capture_time_utc_s),
-        "file": "" if photo is None else photo.file,
-        "photos": [encode(item) | {"capture_time": iso_utc(item.capture_time_utc_s)} for item in attempt.photos],
+        "file": photos[0]["file"] if photos else "",
+        "photos": photos,
     }
     if exposed is not None:
         out["measured"] = None if exposed.measured is None else _pose_json(exposed.measured)
@@ -210,6 +216,16 @@ def _attempt_json(attempt: AttemptRecord) -> dict[str, Any]:
         out["slew_settle_s"] = exposed.slew_settle_s
         out["trigger_delay_s"] = exposed.trigger_delay_s
     return out
+
+
+def file_name(told: str, folder: Path) -> str:
+    """What a camera tells of a file: relative to the mission's directory if it lies in there, else as told."""
+    parts = urlsplit(told)
+    if parts.scheme == "file" and parts.netloc in {"", "localhost"}:
+        path = Path(unquote(parts.path))
+        if path.is_relative_to(folder.resolve()):
+            return path.relative_to(folder.resolve()).as_posix()
+    return told
 
 
 def _pose_json(pose: ev.MeasuredPose) -> dict[str, Any]:

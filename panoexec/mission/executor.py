@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Sequence
 from typing import Literal
 
@@ -122,6 +123,11 @@ class Mission:
         return self._flight.pace.shot_s
 
     @property
+    def shooting_s(self) -> float:
+        """Seconds from the first slew of this process to the last verdict, pauses included; NaN before the end."""
+        return math.nan if self._shooting is None else self._shooting.ended_s - self._shooting.began_s
+
+    @property
     def shooter(self) -> Shooter | None:
         """The part that points and triggers, for a look at the live pointing error; None before the start."""
         return None if self._shooting is None else self._shooting.shooter
@@ -233,7 +239,7 @@ class Mission:
         flight = self._flight
         shots = [record.shot for record in flight.record.shots.values() if record.shot.index in flight.queue]
         reference = flight.record.reference_yaw_north_deg
-        if reference != reference:  # noqa: PLR0124  (NaN)
+        if math.isnan(reference):
             return ["the vehicle's heading is unknown, and the panorama is to start from it"]
         return preflight_problems(
             shots=shots,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from panoexec.angles import wrap_180
 from panoexec.devices import AttitudeSample, Camera, Gimbal, Vehicle
@@ -36,8 +37,18 @@ def limit_problems(shots: Iterable[Shot], limits: GimbalLimits, *, margin_deg: f
 
 
 def gimbal_limits(gimbal: Gimbal, settings: MissionSettings) -> GimbalLimits:
-    """The limits that hold: the gimbal's own if it states them, else the configured ones."""
-    return gimbal.limits or settings.gimbal
+    """The limits that hold: ranges as the gimbal states them, else as configured; rates always as configured."""
+    own, configured = gimbal.limits, settings.gimbal
+    if own is None:
+        return configured
+    return replace(
+        configured,
+        pitch_min_deg=own.pitch_min_deg,
+        pitch_max_deg=own.pitch_max_deg,
+        yaw_min_deg=own.yaw_min_deg,
+        yaw_max_deg=own.yaw_max_deg,
+        yaw_endless=own.yaw_endless,
+    )
 
 
 def preflight_problems(

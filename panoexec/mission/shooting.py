@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Sequence
 
 from panoexec import events as ev
@@ -26,6 +27,10 @@ class Shooting:
         self._outstanding = 0
         self._proven = asyncio.Event()
         self._must_keep_seq = 0
+        self.began_s = math.nan
+        """When the first slew began, on the mission's clock."""
+        self.ended_s = math.nan
+        """When the last photo had its verdict."""
         self.shooter = Shooter(
             gimbal=flight.gimbal,
             camera=flight.camera,
@@ -38,6 +43,8 @@ class Shooting:
     async def run(self) -> None:
         """Shoot; the mission is capturing on entry, and capturing or paused on return."""
         flight, control = self._flight, self._flight.control
+        if math.isnan(self.began_s):
+            self.began_s = flight.clock.monotonic()
         while not control.must_leave:
             control.settled()
             if control.holds or not (flight.record.gimbal_held or await self._holding.acquire()):
@@ -58,6 +65,7 @@ class Shooting:
         while self._outstanding and self._flight.control.stop is None:
             self._proven.clear()
             await until(self._flight.control.stopping.wait(), self._proven.wait(), "last evidence")
+        self.ended_s = self._flight.clock.monotonic()
 
     async def _attempt(self, task: Task) -> None:
         flight, control = self._flight, self._flight.control

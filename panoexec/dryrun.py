@@ -1,0 +1,320 @@
+"""The whole mission on the embedded simulated vehicle: the composition behind `panoexec dry-run`.
+
+The simulated vehicle runs as a child process and speaks MAVLink over UDP; everything on this side is what flies a real
+one. Both run at the same speed-up, so a mission takes the same simulated seconds at any.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from panoexec.adapters.mavsdk_camera import MavsdkCamera
+from panoexec.adapters.mavsdk_gimbal import MavsdkGimbal
+from panoexec.adapters.mavsdk_link import MavsdkLink
+from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
+from panoexec.clock import SystemClock
+from panoexec.devices import EvidenceLevel
+from panoexec.errors import LinkError
+from panoexec.events import AxisErrors, Event
+from panoexec.mission.executor import Mission
+from panoexec.mission.pace import slew_time_s
+from panoexec.mission.record import MissionRecord, Verdict
+from panoexec.mission.settings import MissionSettings
+from panoexec.mission_dir import existing_mission_directory
+from panoexec.mission_session import Devices, MissionSession, StoredMission, create_mission, open_mission
+from panoexec.planning.model import Certificate, Plan, Shot
+from panoexec.pointing import pose_of, read_pose
+from panoexec.sim import settings as sim_settings
+from panoexec.sim.config import SimConfig
+from panoexec.sim.process import free_udp_port, running_simulator
+
+FIND_S = 30.0
+"""Real seconds within which the simulated vehicle must be found."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DryRunOptions:
+    """What to fly, and on what.
+
+    Attributes:
+        plan: the mission's.
+        settings: how to fly it.
+        simulation: the simulated vehicle; its port and output are chosen here.
+        storage: the mission's directory comes below `missions` in it.
+        reference: what yaw 0 means.
+        images: whether the camera writes JPEGs into the mission's directory.
+    """
+
+    plan: Plan
+    settings: MissionSettings
+    simulation: SimConfig
+    storage: Path
+    reference: Literal["north", "heading"] = "north"
+    images: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DryRunSummary:
+    """How it went.
+
+    Attributes:
+        mission_id, directory: where it left everything.
+        state, reason: how it ended.
+        shots, accepted, attempts, retakes, missing: counts, and the indices of shots without a photo.
+        rejected: how many attempts were rejected for each code.
+        worst: the largest errors of all accepted shots, signs kept; None without one.
+        evidence: how many accepted shots at each level (the weakest photo's).
+        photos: JPEGs in the mission's directory.
+        duration_s: simulated seconds from the first slew to the last verdict.
+        limit_s: what the hardware allows at best for the same shots in the same order: slews at full rate and
+            acceleration, settle time, exposure, camera interval.
+        trigger_delay_s: 99th percentile from settled to the trigger on the wire, in simulated seconds.
+        certificate: of the measured attitudes; None if the mission did not come that far.
+    """
+
+    mission_id: str
+    directory: Path
+    state: str
+    reason: str
+    shots: int
+    accepted: int
+    attempts: int
+    retakes: int
+    missing: tuple[int, ...]
+    rejected: dict[str, int]
+    worst: AxisErrors | None
+    evidence: dict[str, int]
+    photos: int
+    duration_s: float
+    limit_s: float
+    trigger_delay_s: float
+    certificate: Certificate | None = field(repr=False)
+
+    @property
+    def limit_ratio(self) -> float:
+        """Duration over limit; NaN where either is unknown."""
+        return self.duration_s / self.limit_s if self.limit_s > 0 else math.nan
+
+    def to_json(self) -> dict[str, Any]:
+        """For `--json`."""
+        out = asdict(replace(self, certificate=None))
+        certificate = self.certificate
+        out["directory"] = str(self.directory)
+        out["missing"] = list(self.missing)
+        out["certified"] = None if certificate is None else certificate.certified
+        out["uncovered_fraction"] = None if certificate is None else certificate.uncovered_fraction
+        del out["certificate"]
+        out["limit_ratio"] = self.limit_ratio
+        return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in out.items()}
+
+
+async def run_dry_run(
+    options: DryRunOptions,
+    *,
+    on_event: Callable[[Event], None] = lambda _: None,
+    on_mission: Callable[[Mission], None] = lambda _: None,
+    note: Callable[[str], None] = lambda _: None,
+) -> DryRunSummary:
+    """Fly a new mission on a new simulated vehicle.
+
+    Cancelling it stops the mission at once and everything that was started; the mission can be resumed.
+
+    Args:
+        options: what and on what.
+        on_event: gets every event of the mission once it is durable.
+        on_mission: gets the mission just before it begins: for its verbs, and a look at its live state.
+        note: gets what the simulation has to say, line by line.
+
+    Raises:
+        PanoexecError: something could not be started; nothing is left running.
+    """
+    clock = SystemClock(options.simulation.speedup)
+    extra = {"simulation": sim_settings.to_json(options.simulation), "images": options.images}
+    stored = await create_mission(
+        options.storage, plan=options.plan, settings=options.settings, now_utc_s=clock.time(), extra=extra
+    )
+    return await _fly(stored, options.simulation, options.images, options.reference, on_event, on_mission, note)
+
+
+async def resume_dry_run(
+    directory: Path,
+    *,
+    simulation: Callable[[SimConfig], SimConfig] = lambda config: config,
+    on_event: Callable[[Event], None] = lambda _: None,
+    on_mission: Callable[[Mission], None] = lambda _: None,
+    note: Callable[[str], None] = lambda _: None,
+) -> DryRunSummary:
+    """Go on with an interrupted dry-run on a new simulated vehicle; arguments as `run_dry_run`.
+
+    Args:
+        directory: the mission's.
+        simulation: changes the configuration of the simulated vehicle that the mission began with.
+        on_event: as above.
+        on_mission: as above.
+        note: as above.
+
+    Raises:
+        PanoexecError: the mission is over, is no dry-run, or something could not be started.
+    """
+    stored = await open_mission(existing_mission_directory(directory))
+    try:
+        config = sim_settings.from_json(stored.extra["simulation"])
+    except KeyError:
+        await stored.journal.close()
+        raise LinkError(f"{directory}: not a dry-run; its mission was flown on a real vehicle") from None
+    images = bool(stored.extra.get("images", True))
+    return await _fly(stored, simulation(config), images, "north", on_event, on_mission, note)
+
+
+class _Callback:
+    """An event sink that calls a function."""
+
+    def __init__(self, call: Callable[[Event], None]) -> None:
+        self.publish = call
+
+
+async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
+    stored: StoredMission,
+    simulation: SimConfig,
+    images: bool,
+    reference: Literal["north", "heading"],
+    on_event: Callable[[Event], None],
+    on_mission: Callable[[Mission], None],
+    note: Callable[[str], None],
+) -> DryRunSummary:
+    clock = SystemClock(simulation.speedup)
+    config = replace(simulation, port=free_udp_port(), listen=False, output=stored.directory.images if images else None)
+    try:
+        async with simulated_devices(config, clock=clock, note=note) as (devices, about):
+            opened = MissionSession.opened(
+                stored, devices=devices, clock=clock, sink=_Callback(on_event), vehicle=about, reference=reference
+            )
+            async with opened as session:
+                on_mission(session.mission)
+                before = _pose_now(devices, 0.0)
+                record = await session.run()
+                start = None if before is None else (before[0], before[1] - record.reference_yaw_north_deg)
+                duration_s, certificate = session.mission.shooting_s, session.mission.certificate
+    finally:
+        await stored.journal.close()
+    limit_s = physical_limit_s(stored.plan.shots, stored.settings, start=start, exposure_s=config.camera.exposure_s)
+    return summarise(stored, record, duration_s=duration_s, limit_s=limit_s, certificate=certificate)
+
+
+@asynccontextmanager
+async def simulated_devices(
+    config: SimConfig, *, clock: SystemClock, note: Callable[[str], None]
+) -> AsyncIterator[tuple[Devices, dict[str, Any]]]:
+    """A simulated vehicle with gimbal and camera, found and streaming, while the block runs.
+
+    Raises:
+        PanoexecError: it could not be started or found.
+    """
+    async with AsyncExitStack() as stack:
+        await stack.enter_async_context(running_simulator(config, note=note))
+        link = await stack.enter_async_context(MavsdkLink(f"udpin://{config.host}:{config.port}", clock=clock))
+        gimbal = await stack.enter_async_context(MavsdkGimbal(link))
+        camera = await stack.enter_async_context(MavsdkCamera(link))
+        vehicle = await stack.enter_async_context(MavsdkVehicle(link))
+        await link.wait_autopilot(FIND_S)
+        found = await gimbal.discover(FIND_S)
+        await camera.discover(FIND_S)
+        about = {
+            "id": "dry-run",
+            "autopilot": config.autopilot,
+            "simulated": True,
+            "seed": config.seed,
+            "gimbal_feedback": found.feedback,
+        }
+        yield Devices(gimbal=gimbal, camera=camera, vehicle=vehicle), about
+
+
+def physical_limit_s(
+    shots: tuple[Shot, ...], settings: MissionSettings, *, start: tuple[float, float] | None, exposure_s: float
+) -> float:
+    """The least time in which a gimbal and a camera could take these shots in this order, one photo each.
+
+    Args:
+        shots: in shooting order.
+        settings: rates, accelerations, settle time, interval.
+        start: pitch and yaw before the first slew; None counts no slew for the first shot.
+        exposure_s: of one photo.
+    """
+    at = start
+    total_s = 0.0
+    for number, shot in enumerate(shots):
+        slew_s = 0.0
+        if at is not None:
+            slew_s = slew_time_s(
+                settings.gimbal,
+                from_pitch_deg=at[0],
+                from_yaw_deg=at[1],
+                to_pitch_deg=shot.pitch_deg,
+                to_yaw_deg=shot.yaw_deg,
+            )
+        least_s = slew_s + settings.settle_s + exposure_s
+        total_s += least_s if number == 0 else max(least_s, settings.interval_s)
+        at = (shot.pitch_deg, shot.yaw_deg)
+    return total_s
+
+
+def _pose_now(devices: Devices, reference_yaw_north_deg: float) -> tuple[float, float] | None:
+    """Pitch and yaw of the gimbal in the plan's frame; None if it does not say."""
+    feed = devices.gimbal.feed
+    sample = feed.latest
+    if sample is None or math.isnan(reference_yaw_north_deg):
+        return None
+    reading = read_pose(sample, feed.vehicle_attitude_at(sample), reference_yaw_north_deg)
+    if reading.rotation is None:
+        return None
+    pose = pose_of(reading.rotation)
+    return pose.pitch_deg, pose.yaw_deg
+
+
+def summarise(
+    stored: StoredMission,
+    record: MissionRecord,
+    *,
+    duration_s: float,
+    limit_s: float,
+    certificate: Certificate | None,
+) -> DryRunSummary:
+    """The summary of a mission that has ended."""
+    attempts = [attempt for shot in record.shots.values() for attempt in shot.attempts]
+    accepted = [shot.accepted for shot in record.shots.values() if shot.accepted is not None]
+    errors = [attempt.exposed.errors for attempt in accepted if attempt.exposed and attempt.exposed.errors]
+    delays = sorted(attempt.exposed.trigger_delay_s for attempt in attempts if attempt.exposed)
+    levels = Counter((attempt.evidence or EvidenceLevel.COMMANDED).name.lower() for attempt in accepted)
+    return DryRunSummary(
+        mission_id=record.mission_id,
+        directory=stored.directory.path,
+        state=record.state.value,
+        reason=record.reason,
+        shots=record.shots_total,
+        accepted=record.shots_done,
+        attempts=record.attempts,
+        retakes=record.retakes,
+        missing=record.missing(),
+        rejected=dict(Counter(attempt.code for attempt in attempts if attempt.verdict is Verdict.REJECTED)),
+        worst=worst_of(errors),
+        evidence=dict(levels),
+        photos=len(list(stored.directory.images.glob("*.jpg"))) if stored.directory.images.is_dir() else 0,
+        duration_s=duration_s,
+        limit_s=limit_s,
+        trigger_delay_s=delays[math.ceil(0.99 * len(delays)) - 1] if delays else math.nan,
+        certificate=certificate,
+    )
+
+
+def worst_of(errors: list[AxisErrors]) -> AxisErrors | None:
+    """The largest of each error by magnitude, signs kept; None of none."""
+    if not errors:
+        return None
+    names = asdict(errors[0])
+    return AxisErrors(**{name: max((getattr(e, name) for e in errors), key=abs) for name in names})
