@@ -1,0 +1,63 @@
+from dataclasses import replace
+
+import pytest
+
+from panoexec.errors import PlanningError
+from panoexec.optics import Camera
+from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Tolerance
+from panoexec.planning.request import check_request
+
+CAMERA = Camera.from_fov(60, 45)
+BAND = Band(elevation_min_deg=-90, elevation_max_deg=30)
+FINE = Constraints(overlap_h=0.15, overlap_v=0.15, band=BAND)
+
+
+def test_reasonable_requests_pass() -> None:
+    check_request(CAMERA, FINE)
+    check_request(CAMERA, replace(FINE, overlap_h=0.0, overlap_v=0.99))
+    check_request(CAMERA, replace(FINE, band=replace(BAND, azimuth_min_deg=170, azimuth_max_deg=190)))
+    mask = AngleBox(elevation_min_deg=-30, elevation_max_deg=0, azimuth_min_deg=170, azimuth_max_deg=190)
+    check_request(CAMERA, replace(FINE, masks=(mask,), gimbal=GimbalLimits()))
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"overlap_h": 1.2}, "horizontal overlap 1.2"),
+        ({"overlap_v": 15}, r"vertical overlap 15 .*15 % is 0\.15"),
+        ({"overlap_v": float("nan")}, "vertical overlap nan"),
+        ({"overlap_h": -0.01}, "horizontal overlap -0.01"),
+        ({"band": replace(BAND, elevation_min_deg=30, elevation_max_deg=-90)}, "upside down"),
+        ({"band": replace(BAND, elevation_min_deg=30, elevation_max_deg=30)}, "empty"),
+        ({"band": replace(BAND, elevation_max_deg=91)}, "leaves the sphere"),
+        ({"band": replace(BAND, elevation_max_deg=float("nan"))}, "leaves the sphere"),
+        ({"band": replace(BAND, azimuth_min_deg=10, azimuth_max_deg=10)}, "is 0° wide"),
+        ({"band": replace(BAND, azimuth_min_deg=10, azimuth_max_deg=-10)}, "is -20° wide"),
+        ({"band": replace(BAND, azimuth_min_deg=0, azimuth_max_deg=361)}, "at most 360"),
+        ({"band": replace(BAND, azimuth_max_deg=float("inf"))}, "azimuth -180 to inf"),
+        ({"tolerance": Tolerance(pitch_deg=-0.1, roll_deg=0, yaw_deg=0)}, "pitch tolerance -0.1"),
+        ({"tolerance": Tolerance(pitch_deg=0, roll_deg=0, yaw_deg=90)}, "yaw tolerance 90"),
+        ({"tolerance": Tolerance(pitch_deg=0, roll_deg=float("nan"), yaw_deg=0)}, "roll tolerance nan"),
+        ({"gimbal": GimbalLimits(pitch_min_deg=10, pitch_max_deg=-10)}, "pitch limits 10 to -10"),
+        ({"gimbal": GimbalLimits(yaw_min_deg=10, yaw_max_deg=-10)}, "pan limits 10 to -10"),
+        (
+            {"masks": (AngleBox(elevation_min_deg=0, elevation_max_deg=0, azimuth_min_deg=0, azimuth_max_deg=1),)},
+            "mask elevation 0 to 0",
+        ),
+        (
+            {"masks": (AngleBox(elevation_min_deg=0, elevation_max_deg=1, azimuth_min_deg=0, azimuth_max_deg=-1),)},
+            "mask azimuth",
+        ),
+    ],
+)
+def test_impossible_requests_are_named(changes: dict[str, object], says: str) -> None:
+    with pytest.raises(PlanningError, match=says) as raised:
+        check_request(CAMERA, replace(FINE, **changes))  # type: ignore[arg-type]
+    assert "\n" not in str(raised.value)
+    assert raised.value.exit_code == 2
+
+
+@pytest.mark.parametrize(("hfov", "vfov"), [(179.5, 40), (40, 179.9), (0.01, 0.01)])
+def test_cameras_that_are_no_pinholes_are_refused(hfov: float, vfov: float) -> None:
+    with pytest.raises(PlanningError, match="field of view"):
+        check_request(Camera.from_fov(hfov, vfov), FINE)
