@@ -61,3 +61,6 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputFileError(str(path), [f"is not UTF-8 text: byte {error.start}: {error.reason}"]) from error
     except tomllib.TOMLDecodeError as error:
         raise InputFileError(str(path), [f"is not valid TOML: {error}"]) from error
+    except ValueError as error:
+        # a name that no file can have (a zero byte in it)
+        raise InputFileError(repr(str(path)), [f"cannot be read: {error}"]) from error
