@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, field_validator, model_validator
 
 from panoexec.angles import wrap_180
 from panoexec.errors import InputFileError, UsageError
@@ -37,11 +37,14 @@ MAX_SHOTS = 100_000
 _SAME_PITCH_DEG = 1e-3
 _FOV_AGREES_DEG = 0.5
 
-Positive: TypeAlias = Annotated[FiniteFloat, Field(gt=0)]
-Overlap: TypeAlias = Annotated[FiniteFloat, Field(ge=0, lt=1)]
-Degrees: TypeAlias = Annotated[FiniteFloat, Field(ge=-720, le=720)]
-Elevation: TypeAlias = Annotated[FiniteFloat, Field(ge=-90, le=90)]
-AxisTolerance: TypeAlias = Annotated[FiniteFloat, Field(ge=0, lt=90)]
+# strict: a text or a truth value where a number belongs is a mistake in the program that wrote it
+Finite: TypeAlias = Annotated[float, Strict(), Field(allow_inf_nan=False)]
+Whole: TypeAlias = Annotated[int, Strict()]
+Positive: TypeAlias = Annotated[Finite, Field(gt=0)]
+Overlap: TypeAlias = Annotated[Finite, Field(ge=0, lt=1)]
+Degrees: TypeAlias = Annotated[Finite, Field(ge=-720, le=720)]
+Elevation: TypeAlias = Annotated[Finite, Field(ge=-90, le=90)]
+AxisTolerance: TypeAlias = Annotated[Finite, Field(ge=0, lt=90)]
 
 
 class _Model(BaseModel):
@@ -52,12 +55,12 @@ class _CameraModel(_Model):
     name: str = "camera"
     sensor_width_mm: Positive
     sensor_height_mm: Positive
-    image_width_px: Annotated[int, Field(gt=0, le=1_000_000)]
-    image_height_px: Annotated[int, Field(gt=0, le=1_000_000)]
+    image_width_px: Annotated[Whole, Field(gt=0, le=1_000_000)]
+    image_height_px: Annotated[Whole, Field(gt=0, le=1_000_000)]
     focal_length_mm: Positive
     calibrated_focal_length_mm: Positive | None = None
-    hfov_deg: FiniteFloat | None = None
-    vfov_deg: FiniteFloat | None = None
+    hfov_deg: Finite | None = None
+    vfov_deg: Finite | None = None
 
     @model_validator(mode="after")
     def _fov_agrees(self) -> Self:
@@ -133,8 +136,8 @@ class _ConstraintsModel(_Model):
 
 
 class _ShotModel(_Model):
-    index: Annotated[int, Field(ge=0, lt=MAX_SHOTS)] | None = None
-    row: Annotated[int, Field(ge=0, lt=MAX_SHOTS)] | None = None
+    index: Annotated[Whole, Field(ge=0, lt=MAX_SHOTS)] | None = None
+    row: Annotated[Whole, Field(ge=0, lt=MAX_SHOTS)] | None = None
     pitch_deg: Elevation
     yaw_deg: Degrees
 
@@ -332,12 +335,17 @@ def _hole_to_data(hole: Hole) -> dict[str, float]:
 
 def _shots(models: Sequence[_ShotModel]) -> tuple[Shot, ...]:
     shots = [
-        Shot(index=i, row=model.row or 0, pitch_deg=model.pitch_deg, yaw_deg=float(wrap_180(model.yaw_deg)))
+        Shot(index=i, row=model.row or 0, pitch_deg=model.pitch_deg, yaw_deg=_wrapped(model.yaw_deg))
         for i, model in enumerate(models)
     ]
     if all(model.row is not None for model in models):
         return tuple(shots)
     return tuple(_with_rows(shots))
+
+
+def _wrapped(yaw_deg: float) -> float:
+    """The yaw in [-180, 180); untouched if it is there already, as wrapping may round in the last place."""
+    return yaw_deg if -180.0 <= yaw_deg < 180.0 else float(wrap_180(yaw_deg))
 
 
 def _with_rows(shots: Sequence[Shot]) -> list[Shot]:
