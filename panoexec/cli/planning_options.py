@@ -17,6 +17,7 @@ from panoexec.planning.paper import plan_paper
 from panoexec.planning.search import plan_certified
 from panoexec.planning.sequence import ORDERS, order_shots
 
+DEFAULT_CAMERA = "dji-x5s-15mm"
 DEFAULT_OVERLAP = 0.15
 DEFAULT_ELEVATION_DEG = (-90.0, 30.0)
 DEFAULT_TOLERANCE = Tolerance(pitch_deg=0.1, roll_deg=0.1, yaw_deg=0.7)
@@ -156,8 +157,10 @@ def constraints_of(args: argparse.Namespace, base: Constraints | None = None) ->
     )
 
 
-def timing_of(profile: CameraProfile) -> Timing:
-    """What a shot costs with this camera."""
+def timing_of(profile: CameraProfile | None) -> Timing:
+    """What a shot costs with this camera; the defaults for one without a profile."""
+    if profile is None:
+        return Timing()
     return Timing(exposure_s=profile.max_exposure_s, interval_s=profile.min_interval_s)
 
 

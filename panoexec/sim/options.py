@@ -17,6 +17,14 @@ _MAX_SPEEDUP = 100.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare all options but the camera's."""
+    add_link_arguments(parser)
+    parser.add_argument("--output", type=Path, metavar="DIR", help="where photos and truth.jsonl go (no photos)")
+    parser.add_argument("--on-ground", action="store_true", help="start disarmed on the ground instead of hovering")
+    add_vehicle_arguments(parser)
+
+
+def add_link_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare how the simulated vehicle is reached."""
     link = parser.add_argument_group("link")
     link.add_argument(
         "--port",
@@ -29,7 +37,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     link.add_argument(
         "--attach", metavar="URL", help="only the payload, joined to a real autopilot: tcp:HOST:PORT, udpout:…, udpin:…"
     )
-    vehicle = parser.add_argument_group("vehicle")
+
+
+def add_vehicle_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what is simulated."""
+    vehicle = parser.add_argument_group("simulated vehicle")
     vehicle.add_argument("--autopilot", choices=("ardupilot", "px4"), default="ardupilot", help="whose habits to show")
     vehicle.add_argument(
         "--mount",
@@ -43,9 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="mavlink",
         help="a MAVLink camera, or a trigger on the autopilot whose only proof is CAMERA_FEEDBACK",
     )
-    vehicle.add_argument("--on-ground", action="store_true", help="start disarmed on the ground instead of hovering")
     vehicle.add_argument("--wind", type=float, metavar="M_S", help="steady wind in m/s (2)")
-    world = parser.add_argument_group("world")
+    world = parser.add_argument_group("simulated world")
     world.add_argument("--scene", type=Path, metavar="EQUIRECT.jpg", help="what there is to see (generated)")
     world.add_argument("--seed", type=int, default=1, metavar="N", help="of everything random (1)")
     world.add_argument("--speedup", type=float, default=1.0, metavar="N", help="simulated seconds a second (1)")
@@ -56,7 +67,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME[=VALUE]",
         help=f"what goes wrong, repeatable: {', '.join(sorted(FAULTS))}; VALUE: docs/simulator.md",
     )
-    world.add_argument("--output", type=Path, metavar="DIR", help="where photos and truth.jsonl go (no photos)")
     world.add_argument("--image-width", type=int, default=800, metavar="PX", help="of the photos written (800)")
     world.add_argument(
         "--set",

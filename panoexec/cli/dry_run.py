@@ -1,0 +1,157 @@
+"""Fly a whole mission on the embedded simulated vehicle: plan, point, expose, judge, retake, prove.
+
+The simulated drone is a process of its own that speaks MAVLink over UDP; on this side runs exactly what flies a real
+one. The mission directory is DIR/missions/ID: plan, manifest, journal, photos. Exit code 1: the panorama is incomplete.
+
+Examples:
+  panoexec dry-run --camera dji-x5s-15mm --overlap 0.15 --elevation -90 30
+  panoexec dry-run --fault drift=0.3 --speedup 10        retakes happen, and end accepted
+  panoexec dry-run --resume missions/ID                  go on after Ctrl-C
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import importlib.util
+import signal
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Any
+
+from panoexec.camera_profiles import CameraProfile
+from panoexec.cli.dry_run_view import MissionView, show_summary
+from panoexec.cli.output import note, print_json
+from panoexec.cli.planning_options import (
+    DEFAULT_CAMERA,
+    add_camera_arguments,
+    add_constraint_arguments,
+    add_gimbal_arguments,
+    add_method_arguments,
+    constraints_of,
+    finished,
+    make_plan,
+    profile_of,
+    timing_of,
+)
+from panoexec.dryrun import DryRunOptions, DryRunSummary, resume_dry_run, run_dry_run
+from panoexec.errors import DependencyError, UsageError
+from panoexec.mission.settings import MissionSettings
+from panoexec.planfile import read_plan_file
+from panoexec.planning.model import GimbalLimits, Plan
+from panoexec.planning.request import check_request
+from panoexec.sim.config import SimConfig
+from panoexec.sim.options import add_vehicle_arguments, camera_of, config_of
+from panoexec.sim.scene import load_scene
+from panoexec.states import MissionState
+
+_EXIT = {MissionState.COMPLETE: 0, MissionState.FAILED: 3}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options."""
+    mission = parser.add_argument_group("mission")
+    mission.add_argument("--plan", type=Path, metavar="PLAN.json", help="fly this plan instead of computing one")
+    mission.add_argument("--resume", type=Path, metavar="MISSION_DIR", help="go on with an interrupted dry-run")
+    mission.add_argument("--output", type=Path, default=Path(), metavar="DIR", help="missions go to DIR/missions (.)")
+    mission.add_argument("--reference", choices=("north", "heading"), default="north", help="yaw 0 of the plan (north)")
+    mission.add_argument("--accept", choices=("tolerance", "overlap"), default="tolerance", help="what counts as good")
+    mission.add_argument("--no-images", action="store_true", help="do not render the photos")
+    mission.add_argument("--json", action="store_true", help="one JSON document on stdout: the summary")
+    add_camera_arguments(parser, required=False)
+    add_constraint_arguments(parser)
+    add_gimbal_arguments(parser)
+    add_method_arguments(parser)
+    add_vehicle_arguments(parser)
+    parser.set_defaults(host="127.0.0.1", port=None, listen=False, attach=None, on_ground=False)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fly, with a live view, and sum up."""
+    for package in ("pymavlink", "PIL"):
+        if importlib.util.find_spec(package) is None:
+            raise DependencyError(
+                f"`dry-run` needs the Python package {package}: install it with  pip install 'panoexec[sim]'"
+            )
+    if args.scene:
+        load_scene(args.scene)  # refused here, before any work
+    _check_storage(args.output)
+    view = MissionView()
+    if args.resume:
+        flight: Callable[[], Coroutine[Any, Any, DryRunSummary]] = lambda: resume_dry_run(  # noqa: E731
+            args.resume, on_event=view.on_event, on_mission=view.on_mission, note=view.note
+        )
+    else:
+        options = _options(args)
+        view.expect(options.plan)
+        flight = lambda: run_dry_run(  # noqa: E731
+            options, on_event=view.on_event, on_mission=view.on_mission, note=view.note
+        )
+    with view:
+        summary = asyncio.run(_until_done(flight))
+    if args.json:
+        print_json(summary.to_json())
+    else:
+        show_summary(summary)
+    return _EXIT.get(MissionState(summary.state), 1)
+
+
+async def _until_done(flight: Callable[[], Coroutine[Any, Any, DryRunSummary]]) -> DryRunSummary:
+    """Fly; SIGTERM stops as Ctrl-C does."""
+    task = asyncio.create_task(flight(), name="dry-run")
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, task.cancel)
+    try:
+        return await task
+    except asyncio.CancelledError:
+        raise KeyboardInterrupt from None
+
+
+def _options(args: argparse.Namespace) -> DryRunOptions:
+    plan, profile = _plan_and_profile(args)
+    if plan.certificate is not None and not plan.certificate.certified:
+        note("note: the plan is not certified: " + "; ".join(plan.certificate.failures))
+    settings = MissionSettings(
+        tolerance=plan.constraints.tolerance,
+        exposure_s=profile.max_exposure_s if profile else MissionSettings.exposure_s,
+        interval_s=profile.min_interval_s if profile else MissionSettings.interval_s,
+        accept=args.accept,
+        gimbal=plan.constraints.gimbal or GimbalLimits(),
+    )
+    camera = camera_of(plan.camera, interval_s=settings.interval_s, exposure_s=settings.exposure_s)
+    simulation: SimConfig = config_of(args, camera)
+    return DryRunOptions(
+        plan=plan,
+        settings=settings,
+        simulation=simulation,
+        storage=args.output,
+        reference=args.reference,
+        images=not args.no_images,
+    )
+
+
+def _plan_and_profile(args: argparse.Namespace) -> tuple[Plan, CameraProfile | None]:
+    file = read_plan_file(args.plan) if args.plan else None
+    if args.camera is None and (file is None or file.camera is None):
+        args.camera = DEFAULT_CAMERA
+    profile = profile_of(args) if args.camera else None
+    if file is None:
+        assert profile is not None
+        return make_plan(args, profile.camera, constraints_of(args), timing_of(profile)), profile
+    plan = file.plan(camera=profile.camera if profile else None, constraints=constraints_of(args, file.constraints))
+    check_request(plan.camera, plan.constraints)
+    return finished(plan, timing_of(profile)), profile
+
+
+def _check_storage(path: Path) -> None:
+    """Refuse before any work a folder that missions could not be written to."""
+    existing = next(parent for parent in (path.absolute(), *path.absolute().parents) if parent.exists())
+    if not existing.is_dir():
+        raise UsageError(f"--output {path}: {existing} is not a folder")
+    probe = existing / ".panoexec-probe"
+    try:
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise UsageError(f"--output {path}: cannot be written ({error.strerror}): name a writable folder") from error

@@ -1,0 +1,178 @@
+"""The live view of a dry-run, and its summary."""
+
+from __future__ import annotations
+
+import math
+import sys
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from panoexec import events as ev
+from panoexec.cli.output import minutes, note, print_facts
+from panoexec.dryrun import DryRunSummary
+from panoexec.mission.executor import Mission
+from panoexec.planning.model import Plan
+from panoexec.planning.pose_error import pose_error
+from panoexec.pointing import read_pose
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+
+class MissionView:
+    """A progress bar on a terminal, a line for each verdict otherwise; all on stderr.
+
+    A context manager: the bar is alive inside it.
+    """
+
+    def __init__(self) -> None:
+        self._mission: Mission | None = None
+        self._progress: Progress | None = None
+        self._bar: TaskID | None = None
+        self._total = 0
+
+    def __enter__(self) -> Self:
+        if sys.stderr.isatty():
+            self._progress = _progress(self._live)
+            self._bar = self._progress.add_task("shots", total=self._total or None)
+            self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._progress is not None:
+            self._progress.stop()
+
+    def expect(self, plan: Plan) -> None:
+        """Show a plan's number of shots before the mission begins."""
+        self._total = len(plan.shots)
+
+    def on_mission(self, mission: Mission) -> None:
+        """Take the mission, for a look at its live state."""
+        self._mission = mission
+
+    def on_event(self, event: ev.Event) -> None:  # noqa: C901  (one case a kind of event)
+        """Show what happened."""
+        match event:
+            case ev.ShotRejected():
+                self._line(f"shot {event.shot}, attempt {event.attempt}: rejected: {event.reason}")
+            case ev.ShotAccepted() if self._progress is None:
+                self._line(f"shot {event.shot}, attempt {event.attempt}: accepted")
+            case ev.ShotDeferred():
+                self._line(f"shot {event.shot}: put off until after the others: {event.reason}")
+            case ev.ShotMissed():
+                self._line(f"shot {event.shot}: given up: {event.reason}")
+            case ev.MissionPaused():
+                self._line(f"paused: {event.reason}")
+            case ev.MissionResumed():
+                self._line(f"goes on after {event.paused_s:.1f} s")
+            case ev.PreflightFailed():
+                self._line("preflight: " + "; ".join(event.problems))
+            case ev.Warned():
+                self._line(f"warning: {event.text}")
+            case ev.PatchPlanned():
+                self._line(f"{len(event.shots)} patch shots for {event.holes} holes")
+            case _:
+                pass
+        if self._progress is not None and self._bar is not None and self._mission is not None:
+            record = self._mission.record
+            self._progress.update(self._bar, completed=record.shots_done, total=record.shots_total)
+
+    def note(self, text: str) -> None:
+        """Show what the simulation says."""
+        self._line(f"simulation: {text}")
+
+    def _line(self, text: str) -> None:
+        if self._progress is None:
+            note(text)
+        else:
+            self._progress.console.print(text, markup=False, highlight=False)
+
+    def _live(self) -> str:
+        """Retakes, current error, time left."""
+        mission = self._mission
+        if mission is None:
+            return "connecting"
+        left = mission.eta_s
+        parts = [
+            f"{mission.record.retakes} retakes",
+            f"error {_degrees(_error_deg(mission))}",
+            f"{minutes(left)} left" if math.isfinite(left) else "",
+        ]
+        return " · ".join(part for part in parts if part)
+
+
+def show_summary(summary: DryRunSummary) -> None:
+    """The end of a dry-run, for a person."""
+    certificate, worst = summary.certificate, summary.worst
+    facts = [
+        ("mission", f"{summary.state}: {summary.reason}"),
+        ("shots", f"{summary.accepted} of {summary.shots} accepted, {summary.attempts} attempts"),
+        ("retakes", f"{summary.retakes}{_reasons(summary.rejected)}"),
+    ]
+    if worst is not None:
+        facts.append(
+            (
+                "worst accepted error",
+                f"pitch {worst.pitch_deg:+.3f}°, roll {worst.roll_deg:+.3f}°, yaw {worst.yaw_deg:+.3f}° (measured)",
+            )
+        )
+    facts.append(("evidence", ", ".join(f"{n} × {level}" for level, n in summary.evidence.items()) or "none"))
+    if certificate is not None:
+        proof = "complete as flown" if certificate.uncovered_fraction == 0 else "it has holes"
+        verdict = "certified" if certificate.certified else "not certified: " + "; ".join(certificate.failures)
+        facts.append(("panorama", f"{proof}; {verdict}"))
+    facts += [
+        (
+            "time",
+            f"{summary.duration_s:.1f} s; physical limit {summary.limit_s:.1f} s, ratio {summary.limit_ratio:.2f}",
+        ),
+        ("photos", f"{summary.photos} JPEGs"),
+        ("directory", str(summary.directory)),
+    ]
+    print_facts(facts)
+
+
+def _progress(live: object) -> Progress:
+    from rich.console import Console  # noqa: PLC0415
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn  # noqa: PLC0415
+    from rich.text import Text  # noqa: PLC0415
+
+    class Live(ProgressColumn):
+        """Asks anew at every refresh."""
+
+        def render(self, task: Task) -> Text:
+            """What stands beside the bar now."""
+            del task
+            return Text(live() if callable(live) else "")
+
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        Live(),
+        console=Console(stderr=True),
+        refresh_per_second=8,
+    )
+
+
+def _error_deg(mission: Mission) -> float:
+    """Angle between where the camera looks now and where it should; NaN where unknown."""
+    shooter, current = mission.shooter, mission.record.current
+    sample = None if shooter is None else shooter.gimbal.feed.latest
+    if shooter is None or current is None or sample is None:
+        return math.nan
+    reading = read_pose(sample, shooter.gimbal.feed.vehicle_attitude_at(sample), shooter.reference_yaw_north_deg)
+    if reading.rotation is None:
+        return math.nan
+    shot = mission.record.shots[current].shot
+    return float(pose_error(shot.pitch_deg, shot.yaw_deg, reading.rotation).boresight_deg)
+
+
+def _degrees(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.2f}°"
+
+
+def _reasons(rejected: dict[str, int]) -> str:
+    return f" ({', '.join(f'{n} × {code}' for code, n in sorted(rejected.items()))})" if rejected else ""
