@@ -169,14 +169,12 @@ class SettleTracker:
 
     @property
     def settled_at_s(self) -> float:
-        """When the settle time was over; NaN while it is not, or the newest reading is bad."""
-        due = self._inside_since + self._limits.settle_s
-        return due if self._newest >= due - 1e-9 else math.nan
+        """When the settle time is over if nothing changes; NaN while the newest reading is bad."""
+        return self._inside_since + self._limits.settle_s
 
-    @property
-    def settled(self) -> bool:
-        """Whether every sample has been inside tolerance, and slow, for the settle time."""
-        return not math.isnan(self.settled_at_s)
+    def is_settled(self, now_s: float) -> bool:
+        """Whether every sample has been inside tolerance, and slow, for the settle time, and the newest is fresh."""
+        return self.settled_at_s <= now_s + 1e-9 and not self.is_stale(now_s)
 
     @property
     def error(self) -> PoseError | None:

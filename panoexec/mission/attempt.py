@@ -30,7 +30,7 @@ from panoexec.pointing import (
 TRIGGER_BOUND_S = 10.0
 """An adapter answers or gives up long before this."""
 LAST_SLEEP_S = 0.05
-"""The last part of the camera's interval is slept through; before that, samples are watched."""
+"""The last part of the settle time and of the camera's interval is slept through; before that, samples are watched."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -235,12 +235,17 @@ class Shooter:
             for sample in samples:
                 newest = sample.received_s
                 tracker.add(read_pose(sample, feed.vehicle_attitude_at(sample), self.reference_yaw_north_deg))
-            if not tracker.settled or tracker.is_stale(self.clock.monotonic()):
+            now_s = self.clock.monotonic()
+            settling_s = tracker.settled_at_s - now_s
+            if 0 < settling_s < LAST_SLEEP_S:  # the trigger does not wait for one more sample
+                await self.clock.sleep(settling_s)
+                fresh = True
+            if not tracker.is_settled(now_s):
                 continue
             blocker, left_s = clear(), self._interval_left_s()
             if blocker is None and left_s <= 0:
                 return max(tracker.settled_at_s, free_s)
-            if blocker is None and left_s < LAST_SLEEP_S:  # so that the trigger does not wait for one more sample
+            if blocker is None and left_s < LAST_SLEEP_S:
                 await self.clock.sleep(left_s)
                 fresh = True
             free_s = self.clock.monotonic()
@@ -251,7 +256,7 @@ class Shooter:
         while True:
             await self.clock.sleep(max(wait.deadline_s - self.clock.monotonic(), 0.05))
             now = self.clock.monotonic()
-            if now >= wait.deadline_s and (not wait.tracker.settled or wait.tracker.is_stale(now)):
+            if now >= wait.deadline_s and not wait.tracker.is_settled(now):
                 return
 
 

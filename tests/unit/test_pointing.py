@@ -117,7 +117,7 @@ def _settle(readings: list[Reading], limits: SettleLimits = LIMITS) -> tuple[Set
     settled = []
     for reading in readings:
         tracker.add(reading)
-        if tracker.settled:
+        if tracker.is_settled(reading.time_s):
             settled.append(round(reading.time_s, 6))
     return tracker, settled
 
@@ -148,7 +148,7 @@ def test_one_bad_sample_starts_the_settle_time_again(bad: Reading, word: str) ->
     times = []
     for i in range(6, 20):
         tracker.add(_reading(i * 0.02))
-        times.append((round(i * 0.02, 6), tracker.settled))
+        times.append((round(i * 0.02, 6), tracker.is_settled(i * 0.02)))
     assert next(t for t, ok in times if ok) == pytest.approx(0.32)
 
 
@@ -157,11 +157,16 @@ def test_a_silence_starts_the_settle_time_again() -> None:
     assert settled == [0.45]
 
 
+def test_the_settle_time_may_end_between_two_samples() -> None:
+    tracker, _ = _settle([_reading(i * 0.03) for i in range(7)])
+    assert not tracker.is_settled(0.19)
+    assert tracker.is_settled(0.2)
+
+
 def test_a_settled_pose_goes_stale() -> None:
     tracker, _ = _settle([_reading(i * 0.02) for i in range(12)])
-    assert tracker.settled
-    assert not tracker.is_stale(0.22 + 0.1)
-    assert tracker.is_stale(0.22 + 0.11)
+    assert tracker.is_settled(0.22 + 0.1)
+    assert not tracker.is_settled(0.22 + 0.11)
     assert SettleTracker(target=TARGET, limits=LIMITS).is_stale(0.0)
 
 
@@ -260,7 +265,7 @@ def test_at_the_nadir_roll_and_yaw_keep_their_meaning() -> None:
     turned = Reading(1.0, rotation(0.4, -90.0), 0.0)
     tracker = SettleTracker(target=target, limits=SettleLimits(settle_s=0.0, max_rate_deg_s=2.0, max_gap_s=0.1))
     tracker.add(turned)
-    assert tracker.settled
+    assert tracker.is_settled(1.0)
     tracker.add(Reading(1.02, rotation(0.0, -90.0, 0.2), 0.0))
     assert "roll off by +0.2" in tracker.problem
 
