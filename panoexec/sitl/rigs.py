@@ -1,0 +1,227 @@
+"""What a dry-run is flown on: each kind of vehicle is started, joined to its payload, watched and ended alike."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from panoexec.errors import DeviceError, PanoexecError, UsageError
+from panoexec.sim.config import SimConfig
+from panoexec.sim.faults import AUTOPILOT_FAULTS
+from panoexec.sim.process import SimulatorProcess, running_simulator
+from panoexec.sitl.autopilot import SitlOptions, free_udp_ports, running_sitl
+
+Note = Callable[[str], None]
+HOST = "127.0.0.1"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rig:
+    """A vehicle that runs and can be connected to.
+
+    Attributes:
+        connection: for `MavsdkLink`.
+        must_fly: it stands on the ground and is ours to arm, take off and land.
+        may_stand: it is not ours; a mission may be flown on it while it stands on a bench.
+        about: for the manifest.
+    """
+
+    connection: str
+    must_fly: bool = False
+    may_stand: bool = False
+    about: dict[str, Any]
+
+
+class VehicleUnderTest(Protocol):
+    """A vehicle that a dry-run can be flown on."""
+
+    @property
+    def speedup(self) -> float:
+        """Its seconds a second."""
+        ...
+
+    def running(self, *, images: Path | None, note: Note) -> AbstractAsyncContextManager[Rig]:
+        """It runs while the block does, which is cancelled when a part of it dies.
+
+        Args:
+            images: where its camera puts photos; None for none.
+            note: takes what there is to say to people, line by line.
+
+        Raises:
+            UsageError: it cannot be started as it was described.
+            LinkError: a port is in use, or nobody answers.
+            DeviceError: it did not start, or died.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EmbeddedVehicle:
+    """The simulated vehicle of `panoexec.sim`, autopilot included; it hovers from the start."""
+
+    simulation: SimConfig
+
+    @property
+    def speedup(self) -> float:
+        """See `VehicleUnderTest.speedup`."""
+        return self.simulation.speedup
+
+    @contextlib.asynccontextmanager
+    async def running(self, *, images: Path | None, note: Note) -> AsyncIterator[Rig]:
+        """See `VehicleUnderTest.running`."""
+        (port,) = free_udp_ports(1)
+        config = replace(self.simulation, host=HOST, port=port, listen=False, attach_url=None, output=images)
+        about = {"autopilot": config.autopilot, "simulated": "embedded", "seed": config.seed}
+        async with running_simulator(config, note=note) as simulator, _watching(_watch(simulator)):
+            yield Rig(connection=f"udpin://{HOST}:{port}", about=about)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SitlVehicle:
+    """ArduCopter's own software (SITL), with our payload on its second serial port; must be flown.
+
+    Attributes:
+        binary: from `sitl_binary`.
+        simulation: payload, wind, home, seed, speed-up; what it says of the embedded autopilot does not count.
+    """
+
+    binary: Path
+    simulation: SimConfig
+
+    def __post_init__(self) -> None:
+        """Refuse what a real autopilot cannot be told.
+
+        Raises:
+            UsageError: naming it.
+        """
+        check_payload_only(self.simulation, option="--sitl")
+
+    @property
+    def speedup(self) -> float:
+        """See `VehicleUnderTest.speedup`."""
+        return self.simulation.speedup
+
+    @contextlib.asynccontextmanager
+    async def running(self, *, images: Path | None, note: Note) -> AsyncIterator[Rig]:
+        """See `VehicleUnderTest.running`."""
+        ground_port, payload_port = free_udp_ports(2)
+        payload = replace(self.simulation, attach_url=f"udpin:{HOST}:{payload_port}", output=images)
+        airframe = self.simulation.airframe
+        options = SitlOptions(
+            binary=self.binary,
+            ground_port=ground_port,
+            payload_port=payload_port,
+            speedup=self.speedup,
+            home=(airframe.latitude_deg, airframe.longitude_deg, airframe.home_altitude_m, airframe.heading_deg),
+            parameters=wind_parameters(self.simulation),
+        )
+        about = {"autopilot": "ardupilot", "simulated": "sitl", "binary": str(self.binary), "seed": payload.seed}
+        async with (
+            running_simulator(payload, note=note) as simulator,
+            running_sitl(options) as sitl,
+            _watching(_watch(simulator), sitl.watch()),
+        ):
+            yield Rig(connection=f"udpin://{HOST}:{ground_port}", must_fly=True, about=about)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConnectedVehicle:
+    """A vehicle that runs already: somebody else's SITL, or one on a bench. It is never armed and never flown.
+
+    Attributes:
+        connection: as MAVSDK writes it.
+        simulation: speed-up (the vehicle's own); with an `attach_url` our payload joins the autopilot there.
+    """
+
+    connection: str
+    simulation: SimConfig
+
+    def __post_init__(self) -> None:
+        """Refuse what a real autopilot cannot be told.
+
+        Raises:
+            UsageError: naming it.
+        """
+        check_payload_only(self.simulation, option="--sitl-connect")
+        if self.simulation.faults and self.simulation.attach_url is None:
+            name = self.simulation.faults[0].name
+            raise UsageError(f"--fault {name}: --sitl-connect without --attach has nothing simulated that could fail")
+
+    @property
+    def speedup(self) -> float:
+        """See `VehicleUnderTest.speedup`."""
+        return self.simulation.speedup
+
+    @contextlib.asynccontextmanager
+    async def running(self, *, images: Path | None, note: Note) -> AsyncIterator[Rig]:
+        """See `VehicleUnderTest.running`."""
+        rig = Rig(connection=self.connection, may_stand=True, about={"connection": self.connection, "simulated": False})
+        if self.simulation.attach_url is None:
+            yield rig
+            return
+        payload = replace(self.simulation, output=images)
+        async with running_simulator(payload, note=note) as simulator, _watching(_watch(simulator)):
+            yield replace(rig, about=rig.about | {"simulated": "payload", "seed": payload.seed})
+
+
+def wind_parameters(simulation: SimConfig) -> dict[str, float]:
+    """SITL's parameters for the wind, the same at every height, gusting about its mean by an eighth of it."""
+    airframe = simulation.airframe
+    return {
+        "SIM_WIND_T": 1,
+        "SIM_WIND_SPD": airframe.wind_m_s,
+        "SIM_WIND_DIR": airframe.wind_from_deg,
+        "SIM_WIND_TURB": airframe.wind_m_s / 8,
+    }
+
+
+def check_payload_only(simulation: SimConfig, *, option: str) -> None:
+    """Refuse settings of the simulated autopilot where there is a real one.
+
+    Raises:
+        UsageError: naming option and setting.
+    """
+    for spec in simulation.faults:
+        if spec.name in AUTOPILOT_FAULTS:
+            raise UsageError(f"--fault {spec.name}: only the embedded autopilot has it, not that of {option}")
+    if simulation.autopilot != "ardupilot":
+        raise UsageError(f"--autopilot {simulation.autopilot}: {option} is an ArduPilot")
+    if simulation.mount != "mavlink" or simulation.camera_kind != "mavlink":
+        raise UsageError(f"--mount and --trigger servo are of the embedded autopilot, not of {option}")
+
+
+async def _watch(simulator: SimulatorProcess) -> None:
+    code = await simulator.wait()
+    raise DeviceError(f"the simulated payload has ended by itself (exit code {code})")
+
+
+@contextlib.asynccontextmanager
+async def _watching(*watches: Awaitable[None]) -> AsyncIterator[None]:
+    """Run the block beside watches that raise when something dies; the block is cancelled then."""
+
+    async def run(watch: Awaitable[None]) -> None:
+        await watch
+
+    try:
+        async with asyncio.TaskGroup() as group:
+            tasks = [group.create_task(run(watch), name="rig watch") for watch in watches]
+            yield
+            for task in tasks:
+                task.cancel()
+    except BaseExceptionGroup as failures:
+        raise _plain(failures) from None
+
+
+def _plain(failures: BaseExceptionGroup[BaseException]) -> BaseException:
+    """The one failure to tell of: the first of ours; else the first."""
+    known, _ = failures.split(PanoexecError)
+    group: BaseExceptionGroup[BaseException] = known or failures
+    first: BaseException = group
+    while isinstance(first, BaseExceptionGroup):
+        first = first.exceptions[0]
+    return first
