@@ -76,6 +76,7 @@ class Airframe:
         self.wind_m_s = config.wind_m_s
         self.battery_frac = config.battery_frac
         self._time_s = 0.0
+        self._state: AirframeState | None = None
         self._height_m = config.height_m if config.in_air else 0.0
         self._height_goal_m = self._height_m
         self._lean_deg = self._steady_lean()
@@ -134,6 +135,7 @@ class Airframe:
     def step(self, dt: float) -> None:
         """Advance by `dt` seconds."""
         self._time_s += dt
+        self._state = None
         drain = 1.0 if self.is_flying else _IDLE_DRAIN if self.armed else 0.0
         self.battery_frac = max(0.0, self.battery_frac - drain * dt / (60 * self.config.battery_minutes))
         self._lean_deg += (self._steady_lean() - self._lean_deg) * min(1.0, dt / _LEAN_LAG_S)
@@ -152,21 +154,25 @@ class Airframe:
 
     def state(self) -> AirframeState:
         """The truth of the moment."""
+        if self._state is None:
+            self._state = self._make_state()
+        return self._state
+
+    def _make_state(self) -> AirframeState:
         t, c = self._time_s, self.config
         flying = 1.0 if self.is_flying else 0.0
         rough = flying * c.sway_deg * (1 + self.wind_m_s / 5)
         yaw = self.true_yaw_deg()
         towards = math.radians(c.wind_from_deg - yaw)
-        h = 0.02
         hold = flying * c.hold_m * (1 + self.wind_m_s / 5)
         north, east, up = (hold * drift.at(t) for drift in self._hold)
         return AirframeState(
             roll_deg=self._lean_deg * math.sin(towards) + rough * self._sway_roll.at(t),
             pitch_deg=-self._lean_deg * math.cos(towards) + rough * self._sway_pitch.at(t),
             yaw_deg=yaw,
-            roll_rate_deg_s=rough * (self._sway_roll.at(t + h) - self._sway_roll.at(t)) / h,
-            pitch_rate_deg_s=rough * (self._sway_pitch.at(t + h) - self._sway_pitch.at(t)) / h,
-            yaw_rate_deg_s=flying * c.heading_sway_deg * (self._sway_yaw.at(t + h) - self._sway_yaw.at(t)) / h,
+            roll_rate_deg_s=rough * self._sway_roll.rate_at(t),
+            pitch_rate_deg_s=rough * self._sway_pitch.rate_at(t),
+            yaw_rate_deg_s=flying * c.heading_sway_deg * self._sway_yaw.rate_at(t),
             north_m=north,
             east_m=east,
             up_m=self._height_m + 0.5 * up,
@@ -177,9 +183,8 @@ class Airframe:
         t, c, state = self._time_s, self.config, self.state()
         north, east, up = (c.gps_wander_m * drift.at(t) for drift in self._gps)
         north, east, up = north + state.north_m, east + state.east_m, 1.5 * up + state.up_m
-        h = 0.1
         hold = c.hold_m if self.is_flying else 0.0
-        velocity = [hold * (drift.at(t + h) - drift.at(t)) / h for drift in self._hold]
+        velocity = [hold * drift.rate_at(t) for drift in self._hold]
         return Position(
             latitude_deg=c.latitude_deg + north / _METRES_PER_DEG,
             longitude_deg=c.longitude_deg + east / (_METRES_PER_DEG * math.cos(math.radians(c.latitude_deg))),

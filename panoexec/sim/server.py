@@ -152,7 +152,7 @@ class Server:
         self._on_ready(Ready(config=self._config))
         async with asyncio.TaskGroup() as tasks:
             developing = tasks.create_task(darkroom.run(), name="darkroom") if darkroom else None
-            turning = tasks.create_task(self._turn(simulation), name="simulation")
+            turning = tasks.create_task(self._turn(simulation, outlet), name="simulation")
             linking = tasks.create_task(self._keep_link(simulation, outlet), name="link")
             await self._stop.wait()
             turning.cancel()
@@ -185,12 +185,13 @@ class Server:
         if darkroom.pending:
             self._note(f"{darkroom.pending} photos were not written")
 
-    async def _turn(self, simulation: Simulation) -> None:
+    async def _turn(self, simulation: Simulation, outlet: _Outlet) -> None:
         """Let simulated time pass."""
         clock, warned = simulation.clock, False
         while True:
             now = clock.now()
             simulation.advance(now)
+            outlet.link.flush()
             late = -clock.wall_delay(simulation.next_s)
             self._latest_s = max(self._latest_s, late)
             if late > _BEHIND_S and not warned:
@@ -203,6 +204,7 @@ class Server:
             # what arrives now happens now, not when the simulation looked at its clock last
             simulation.advance(simulation.clock.now())
             simulation.receiver(message, frame)
+            link.flush()
 
         link.receiver = receive
         if isinstance(link, TcpLink):

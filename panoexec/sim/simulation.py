@@ -151,8 +151,8 @@ class Simulation:
 
     @property
     def next_s(self) -> float:
-        """When the next thing is due."""
-        return min(self.timeline.next_s, (self._steps + 1) * self.config.step_s)
+        """When the next event is due; the physics before it is caught up with then."""
+        return self.timeline.next_s
 
     def _apply_faults(self) -> None:
         faults, now = self.faults, self.timeline.now_s

@@ -1,7 +1,7 @@
 """Bytes in and out: MAVLink framing on UDP and TCP sockets and between parts of one process.
 
-Sockets are read and written straight from the event loop without a protocol class per datagram: at a speed-up of 20 a
-mission's streams are some 4000 messages a second.
+Sockets are read and written straight from the event loop, and frames of one moment share a datagram, as autopilots do:
+at a speed-up of 20 a mission's streams are some 4000 messages a second.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ Message: TypeAlias = Any
 
 _BUFFER_BYTES = 1 << 20
 _DATAGRAM_BYTES = 65535
+_PACKET_BYTES = 1400
 
 
 class Receiver(Protocol):
@@ -99,6 +100,7 @@ class _SocketLink:
         self._socket = sock
         self._socket.setblocking(False)
         self._parser = _parser()
+        self._outgoing = bytearray()
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(sock.fileno(), self._readable)
 
@@ -106,6 +108,22 @@ class _SocketLink:
     def local_port(self) -> int:
         """The port at this end."""
         return int(self._socket.getsockname()[1])
+
+    def send(self, frame: bytes, message: Message) -> None:
+        """See `Link.send`; frames wait for `flush`, so that those of one moment share a datagram."""
+        del message
+        if len(self._outgoing) + len(frame) > _PACKET_BYTES:
+            self.flush()
+        self._outgoing += frame
+
+    def flush(self) -> None:
+        """Put on the wire what was sent."""
+        if self._outgoing:
+            data, self._outgoing = self._outgoing, bytearray()
+            self._write(data)
+
+    def _write(self, data: bytearray) -> None:
+        raise NotImplementedError
 
     def close(self) -> None:
         """Close the socket."""
@@ -123,7 +141,7 @@ class _SocketLink:
 
 
 class UdpLink(_SocketLink):
-    """A UDP socket; a datagram a message. Learns where its peer is from what arrives, unless it was told."""
+    """A UDP socket. Learns where its peer is from what arrives, unless it was told."""
 
     def __init__(self, name: str, sock: socket.socket, remotes: Sequence[tuple[str, int]]) -> None:
         super().__init__(name, sock)
@@ -154,12 +172,10 @@ class UdpLink(_SocketLink):
             raise _cannot_listen("UDP", host, port, error) from error
         return UdpLink(name, sock, ())
 
-    def send(self, frame: bytes, message: Message) -> None:
-        """See `Link.send`."""
-        del message
+    def _write(self, data: bytearray) -> None:
         for remote in self._remotes:
             try:
-                self._socket.sendto(frame, remote)
+                self._socket.sendto(data, remote)
             except OSError:
                 # nobody listens yet, or the buffer is full: UDP loses datagrams, and so may this
                 self.lost += 1
@@ -217,11 +233,10 @@ class TcpLink(_SocketLink):
                 sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 return TcpLink(name, sock)
 
-    def send(self, frame: bytes, message: Message) -> None:
-        """See `Link.send`; a frame that does not fit into the socket's buffer whole is cut, as on a serial line."""
-        del message
+    def _write(self, data: bytearray) -> None:
+        # what does not fit into the socket's buffer is cut off, as on a serial line
         with contextlib.suppress(OSError):
-            self._socket.send(frame)
+            self._socket.send(data)
 
     def _readable(self) -> None:
         try:

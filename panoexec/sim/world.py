@@ -62,18 +62,26 @@ class BoundedDrift:
     bound.
     """
 
-    _WEIGHTS = (0.25, 0.25, 0.25, 0.25)
     _PERIODS = (1.0, 1.618, 2.889, 5.43)
 
     def __init__(self, bound: float, shortest_period_s: float, rng: random.Random) -> None:
-        self._terms = [
-            (bound * weight, 2 * math.pi / (shortest_period_s * period), rng.uniform(0, 2 * math.pi))
-            for weight, period in zip(self._WEIGHTS, self._PERIODS, strict=True)
-        ]
+        self._amplitude = bound / len(self._PERIODS)
+        self._omegas = [2 * math.pi / (shortest_period_s * period) for period in self._PERIODS]
+        self._phases = [rng.uniform(0, 2 * math.pi) for _ in self._PERIODS]
+
+    # written out: these run some ten thousand times a second at a speed-up of 20
 
     def at(self, t_s: float) -> float:
         """Its value at simulated time `t_s`."""
-        return sum(amplitude * math.sin(omega * t_s + phase) for amplitude, omega, phase in self._terms)
+        (a, b, c, d), (e, f, g, h), sin = self._omegas, self._phases, math.sin
+        return self._amplitude * (sin(a * t_s + e) + sin(b * t_s + f) + sin(c * t_s + g) + sin(d * t_s + h))
+
+    def rate_at(self, t_s: float) -> float:
+        """Its derivative, a second, at simulated time `t_s`."""
+        (a, b, c, d), (e, f, g, h), cos = self._omegas, self._phases, math.cos
+        return self._amplitude * (
+            a * cos(a * t_s + e) + b * cos(b * t_s + f) + c * cos(c * t_s + g) + d * cos(d * t_s + h)
+        )
 
 
 class ColouredNoise:
