@@ -1,7 +1,8 @@
-"""The whole mission on the embedded simulated vehicle: the composition behind `panoexec dry-run`.
+"""The whole mission on a vehicle under test: the composition behind `panoexec dry-run`.
 
-The simulated vehicle runs as a child process and speaks MAVLink over UDP; everything on this side is what flies a real
-one. Both run at the same speed-up, so a mission takes the same simulated seconds at any.
+The vehicle (the embedded simulation, ArduPilot's SITL, or one that runs already: `panoexec.sitl.rigs`) speaks MAVLink
+over UDP; everything on this side is what flies a real one. Both run at the same speed-up, so a mission takes the same
+simulated seconds at any.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any, Literal
 from panoexec.adapters.mavsdk_camera import MavsdkCamera
 from panoexec.adapters.mavsdk_gimbal import MavsdkGimbal
 from panoexec.adapters.mavsdk_link import MavsdkLink
+from panoexec.adapters.mavsdk_pilot import MavsdkPilot
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import SystemClock
 from panoexec.devices import EvidenceLevel
@@ -32,10 +34,14 @@ from panoexec.planning.model import Certificate, Plan, Shot
 from panoexec.pointing import pose_of, read_pose
 from panoexec.sim import settings as sim_settings
 from panoexec.sim.config import SimConfig
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sitl.autopilot import sitl_binary
+from panoexec.sitl.rigs import ConnectedVehicle, EmbeddedVehicle, Rig, SitlVehicle, VehicleUnderTest
 
 FIND_S = 30.0
 """Real seconds within which the simulated vehicle must be found."""
+
+HOVER_M = 30.0
+"""Height above the ground at which a vehicle that must be flown takes its panorama."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,6 +55,9 @@ class DryRunOptions:
         storage: the mission's directory comes below `missions` in it.
         reference: what yaw 0 means.
         images: whether the camera writes JPEGs into the mission's directory.
+        sitl: fly ArduPilot's SITL instead (the binary, see `panoexec.sitl.autopilot.sitl_binary`).
+        connect: fly on a vehicle that runs already instead, without arming or moving it (connection string); the
+            simulated payload joins it if the simulation has an `attach_url`.
     """
 
     plan: Plan
@@ -57,6 +66,17 @@ class DryRunOptions:
     storage: Path
     reference: Literal["north", "heading"] = "north"
     images: bool = True
+    sitl: Path | None = None
+    connect: str | None = None
+
+    @property
+    def vehicle(self) -> VehicleUnderTest:
+        """What is flown on.
+
+        Raises:
+            UsageError: the simulation asks for something that this vehicle cannot do.
+        """
+        return vehicle_under_test(self.simulation, sitl=self.sitl, connect=self.connect)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +96,7 @@ class DryRunSummary:
             acceleration, settle time, exposure, camera interval.
         trigger_delay_s: 99th percentile from settled to the trigger on the wire, in simulated seconds.
         certificate: of the measured attitudes; None if the mission did not come that far.
+        vehicle: what it was flown on, as in the manifest; `landed` where it had to be.
     """
 
     mission_id: str
@@ -95,6 +116,7 @@ class DryRunSummary:
     limit_s: float
     trigger_delay_s: float
     certificate: Certificate | None = field(repr=False)
+    vehicle: dict[str, Any] = field(default_factory=dict)
 
     @property
     def limit_ratio(self) -> float:
@@ -134,12 +156,19 @@ async def run_dry_run(
     Raises:
         PanoexecError: something could not be started; nothing is left running.
     """
-    clock = SystemClock(options.simulation.speedup)
-    extra = {"simulation": sim_settings.to_json(options.simulation), "images": options.images}
+    vehicle = options.vehicle
+    extra = {
+        "simulation": sim_settings.to_json(options.simulation),
+        "images": options.images,
+        "sitl": None if options.sitl is None else str(options.sitl),
+        "connect": options.connect,
+    }
     stored = await create_mission(
-        options.storage, plan=options.plan, settings=options.settings, now_utc_s=clock.time(), extra=extra
+        options.storage, plan=options.plan, settings=options.settings, now_utc_s=SystemClock().time(), extra=extra
     )
-    return await _fly(stored, options.simulation, options.images, options.reference, on_event, on_mission, note)
+    return await _fly(
+        stored, vehicle, options.simulation, options.images, options.reference, on_event, on_mission, note
+    )
 
 
 async def resume_dry_run(
@@ -169,7 +198,27 @@ async def resume_dry_run(
         await stored.journal.close()
         raise LinkError(f"{directory}: not a dry-run; its mission was flown on a real vehicle") from None
     images = bool(stored.extra.get("images", True))
-    return await _fly(stored, simulation(config), images, "north", on_event, on_mission, note)
+    sitl, connect = stored.extra.get("sitl"), stored.extra.get("connect")
+    try:
+        config = simulation(config)
+        vehicle = vehicle_under_test(config, sitl=sitl_binary(sitl) if sitl else None, connect=connect)
+    except BaseException:
+        await stored.journal.close()
+        raise
+    return await _fly(stored, vehicle, config, images, "north", on_event, on_mission, note)
+
+
+def vehicle_under_test(simulation: SimConfig, *, sitl: Path | None, connect: str | None) -> VehicleUnderTest:
+    """What is flown on: see `DryRunOptions`.
+
+    Raises:
+        UsageError: the simulation asks for something that this vehicle cannot do.
+    """
+    if sitl is not None:
+        return SitlVehicle(binary=sitl, simulation=simulation)
+    if connect is not None:
+        return ConnectedVehicle(connection=connect, simulation=simulation)
+    return EmbeddedVehicle(simulation=simulation)
 
 
 class _Callback:
@@ -181,6 +230,7 @@ class _Callback:
 
 async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
     stored: StoredMission,
+    vehicle: VehicleUnderTest,
     simulation: SimConfig,
     images: bool,
     reference: Literal["north", "heading"],
@@ -188,12 +238,18 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
     on_mission: Callable[[Mission], None],
     note: Callable[[str], None],
 ) -> DryRunSummary:
-    clock = SystemClock(simulation.speedup)
-    config = replace(simulation, port=free_udp_port(), listen=False, output=stored.directory.images if images else None)
+    clock = SystemClock(vehicle.speedup)
+    output = stored.directory.images if images else None
     try:
-        async with simulated_devices(config, clock=clock, note=note) as (devices, about):
+        async with devices_on(vehicle, images=output, clock=clock, note=note) as (devices, rig):
             opened = MissionSession.opened(
-                stored, devices=devices, clock=clock, sink=_Callback(on_event), vehicle=about, reference=reference
+                stored,
+                devices=devices,
+                clock=clock,
+                sink=_Callback(on_event),
+                vehicle=rig.about,
+                reference=reference,
+                settings=_settings_on(rig, devices, stored.settings, note),
             )
             async with opened as session:
                 on_mission(session.mission)
@@ -203,36 +259,53 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
                 duration_s, certificate = session.mission.shooting_s, session.mission.certificate
     finally:
         await stored.journal.close()
-    limit_s = physical_limit_s(stored.plan.shots, stored.settings, start=start, exposure_s=config.camera.exposure_s)
-    return summarise(stored, record, duration_s=duration_s, limit_s=limit_s, certificate=certificate)
+    limit_s = physical_limit_s(stored.plan.shots, stored.settings, start=start, exposure_s=simulation.camera.exposure_s)
+    summary = summarise(stored, record, duration_s=duration_s, limit_s=limit_s, certificate=certificate)
+    return replace(summary, vehicle=rig.about)
 
 
 @asynccontextmanager
-async def simulated_devices(
-    config: SimConfig, *, clock: SystemClock, note: Callable[[str], None]
-) -> AsyncIterator[tuple[Devices, dict[str, Any]]]:
-    """A simulated vehicle with gimbal and camera, found and streaming, while the block runs.
+async def devices_on(
+    vehicle_under_test: VehicleUnderTest, *, images: Path | None, clock: SystemClock, note: Callable[[str], None]
+) -> AsyncIterator[tuple[Devices, Rig]]:
+    """A vehicle with gimbal and camera, found and streaming while the block runs; in the air, if it is ours to fly.
+
+    It lands after the block, but not after one that failed: what is simulated just ends then.
 
     Raises:
-        PanoexecError: it could not be started or found.
+        PanoexecError: it could not be started, found or flown.
     """
     async with AsyncExitStack() as stack:
-        await stack.enter_async_context(running_simulator(config, note=note))
-        link = await stack.enter_async_context(MavsdkLink(f"udpin://{config.host}:{config.port}", clock=clock))
+        rig = await stack.enter_async_context(vehicle_under_test.running(images=images, note=note))
+        link = await stack.enter_async_context(MavsdkLink(rig.connection, clock=clock))
         gimbal = await stack.enter_async_context(MavsdkGimbal(link))
         camera = await stack.enter_async_context(MavsdkCamera(link))
         vehicle = await stack.enter_async_context(MavsdkVehicle(link))
         await link.wait_autopilot(FIND_S)
         found = await gimbal.discover(FIND_S)
         await camera.discover(FIND_S)
-        about = {
-            "id": "dry-run",
-            "autopilot": config.autopilot,
-            "simulated": True,
-            "seed": config.seed,
-            "gimbal_feedback": found.feedback,
-        }
-        yield Devices(gimbal=gimbal, camera=camera, vehicle=vehicle), about
+        rig.about["gimbal_feedback"] = found.feedback
+        devices = Devices(gimbal=gimbal, camera=camera, vehicle=vehicle)
+        if not rig.must_fly:
+            yield devices, rig
+            return
+        pilot = MavsdkPilot(link, vehicle, clock=clock)
+        note("waiting for GPS and estimator, then taking off")
+        await pilot.take_off(HOVER_M)
+        note(f"hovering at {HOVER_M:g} m")
+        yield devices, rig
+        note("landing")
+        await pilot.land()
+        rig.about["landed"] = True
+        note("landed and disarmed")
+
+
+def _settings_on(rig: Rig, devices: Devices, settings: MissionSettings, note: Callable[[str], None]) -> MissionSettings:
+    """The settings for this vehicle: one that stands on a bench is not asked to hover."""
+    if not rig.may_stand or devices.vehicle.status.in_air:
+        return settings
+    note("the vehicle stands on the ground and is left there: no guard of its flight")
+    return replace(settings, guards=replace(settings.guards, position_hold=False, position_drift_m=math.inf))
 
 
 def physical_limit_s(
