@@ -1,0 +1,165 @@
+"""Stitch a mission's photos into one panorama and measure how complete it is.
+
+Hugin's command-line tools find control points (cpfind) and remap the photos (nona); install them with
+  apt-get install hugin-tools
+Alignment starts from the measured angles and cannot run away; photos without control points keep theirs. The result
+lies in MISSION_DIR/stitch: panorama.tif (the whole sphere, with alpha), panorama.jpg (with GPano tags), aligned.pto
+(opens in Hugin), stitch.json. An interrupted run goes on where it stopped.
+
+Exit code 1: the panorama has holes in the ground, or photos are missing.
+
+Example:
+  panoexec stitch missions/20260921T141320.000Z
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from panoexec.cli.output import console, note, percent, print_facts, print_json, print_table
+from panoexec.errors import DependencyError
+
+if TYPE_CHECKING:
+    from panoexec.stitching.mission import StitchInput
+    from panoexec.stitching.pipeline import StitchOptions, StitchResult
+
+_SHOWN = 12
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options."""
+    parser.add_argument("mission", type=Path, metavar="MISSION_DIR", help="the mission's directory")
+    parser.add_argument("--width", type=_width, metavar="PX", help="width of the whole sphere (the photos' resolution)")
+    parser.add_argument(
+        "--horizon",
+        type=_elevation,
+        default=0.0,
+        metavar="DEG",
+        help="elevation up to which the ground reaches, for completeness (0)",
+    )
+    parser.add_argument("--fixed-lens", action="store_true", help="do not adjust focal length and distortion")
+    parser.add_argument("--memory", type=_memory, default=1024, metavar="MIB", help="memory for blending (1024)")
+    parser.add_argument("--restart", action="store_true", help="forget what an earlier run left")
+    parser.add_argument("--json", action="store_true", help="one JSON document on stdout: stitch.json")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Stitch, and show what came out."""
+    try:
+        from panoexec.stitching.mission import load_mission  # noqa: PLC0415
+        from panoexec.stitching.pipeline import StitchOptions  # noqa: PLC0415
+    except ModuleNotFoundError as error:
+        if error.name and error.name.startswith("panoexec"):
+            raise
+        raise DependencyError(
+            f"`stitch` needs the Python package {error.name}: install it with  pip install 'panoexec[report]'"
+        ) from error
+    mission = load_mission(args.mission)
+    for name, reason in mission.left_out.items():
+        note(f"left out: {name} {reason}")
+    options = StitchOptions(
+        width_px=args.width,
+        horizon_deg=args.horizon,
+        refine_lens=not args.fixed_lens,
+        memory_bytes=args.memory << 20,
+        restart=args.restart,
+    )
+    result = _stitch(mission, options)
+    if args.json:
+        print_json(result.to_json())
+    else:
+        show(result, mission)
+    whole = result.completeness.hole_px == 0 and not result.left_out and not mission.missing_shots
+    return 0 if whole else 1
+
+
+def _stitch(mission: StitchInput, options: StitchOptions) -> StitchResult:
+    """Run the steps under a progress bar on stderr."""
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn  # noqa: PLC0415
+
+    from panoexec.stitching.pipeline import STEPS, Stitcher  # noqa: PLC0415
+
+    columns = (
+        TextColumn("{task.fields[step]:<7}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}"),
+    )
+    with Progress(*columns, console=console(stderr=True)) as bar:
+        tasks = {step: bar.add_task("", total=1.0, start=False, step=step) for step in STEPS}
+
+        def progress(step: str, fraction: float, text: str) -> None:
+            bar.start_task(tasks[step])
+            bar.update(tasks[step], completed=fraction, description=text)
+
+        return Stitcher(mission, options, progress).run()
+
+
+def show(result: StitchResult, mission: StitchInput) -> None:
+    """The verdict, for a person."""
+    verdict = result.completeness
+    width, height = result.canvas_px
+    print_facts(
+        [
+            ("completeness", f"{_completeness(verdict.fraction)} of the ground (equation 8)"),
+            ("", f"{_completeness(verdict.solid_angle_fraction)} by solid angle; {verdict.hole_px} px missing"),
+            ("photos", f"{result.images} stitched, {len(result.left_out)} left out, {len(result.untied)} not tied"),
+            (
+                "alignment",
+                f"{result.points} points, {result.rms_px:.2f} px rms, turned by up to {result.correction_deg:.2f}°",
+            ),
+            ("lens", f"{result.hfov_deg:.3f}° wide"),
+            ("panorama", f"{width} x {height} px ({width * height / 1e9:.2f} gigapixel): {result.panorama}"),
+            ("preview", str(result.preview)),
+            ("time", ", ".join(f"{name} {seconds:.1f} s" for name, seconds in result.seconds.items())),
+        ]
+    )
+    if result.untied:
+        shown = ", ".join(result.untied[:_SHOWN]) + (" …" if len(result.untied) > _SHOWN else "")
+        note(f"not tied to the others, measured angles kept: {shown}")
+    if mission.missing_shots:
+        note(f"shots without an accepted photo: {', '.join(str(index) for index in mission.missing_shots)}")
+    if verdict.holes:
+        print_table(
+            f"{len(verdict.holes)} holes, largest first",
+            ("elevation °", "azimuth °", "across °", "pixels"),
+            (
+                (f"{h.elevation_deg:+.2f}", f"{h.azimuth_deg:+.2f}", f"{h.size_deg:.2f}", str(h.pixels))
+                for h in verdict.holes[:_SHOWN]
+            ),
+        )
+
+
+def _completeness(fraction: float) -> str:
+    """Never 100 % by rounding."""
+    digits = 2
+    while fraction < 1 and round(100 * fraction, digits) >= 100 and digits < 9:
+        digits += 1
+    return percent(fraction, digits)
+
+
+def _width(text: str) -> int:
+    value = int(text) if text.isdecimal() else 0
+    if not 256 <= value <= 1_000_000:
+        raise argparse.ArgumentTypeError(f"{text}: accepted are 256 to 1000000 px")
+    return value
+
+
+def _elevation(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not -90 < value <= 90:
+        raise argparse.ArgumentTypeError(f"{text}: accepted are degrees above -90, at most 90")
+    return value
+
+
+def _memory(text: str) -> int:
+    value = int(text) if text.isdecimal() else 0
+    if not 128 <= value <= 1_000_000:
+        raise argparse.ArgumentTypeError(f"{text}: accepted are 128 to 1000000 MiB")
+    return value

@@ -1,0 +1,147 @@
+"""What there is to stitch: the accepted photos of a mission directory that are really there and whole."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import PIL.Image
+
+from panoexec.exports.from_manifest import export_set
+from panoexec.exports.hugin import hugin_project
+from panoexec.exports.model import ExportShot
+from panoexec.jpeg_header import read_jpeg_header
+from panoexec.manifest import read_manifest
+from panoexec.mission_dir import existing_mission_directory
+from panoexec.planfile import read_plan_file
+from panoexec.planning.model import AngleBox, Band, Tolerance
+from panoexec.pto import PtoProject
+from panoexec.stitching.tools import StitchError
+
+_WHOLE_SPHERE = Band(elevation_min_deg=-90.0, elevation_max_deg=90.0)
+_USUAL_TOLERANCE = Tolerance(pitch_deg=0.1, roll_deg=0.1, yaw_deg=0.7)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StitchInput:
+    """What there is to stitch.
+
+    Attributes:
+        folder: the mission directory.
+        project: usable photos with measured angles, names relative to `folder`, canvas at their resolution.
+        band: directions that were asked for.
+        masks: boxes that need no coverage.
+        tolerance: how far the measured attitudes may be off.
+        left_out: photos that cannot be used, by name, with the reason.
+        missing_shots: shots without an accepted photo.
+        heading_deg: true heading of the canvas's middle.
+    """
+
+    folder: Path
+    project: PtoProject
+    band: Band
+    tolerance: Tolerance
+    masks: tuple[AngleBox, ...] = ()
+    left_out: Mapping[str, str]
+    missing_shots: tuple[int, ...] = ()
+    heading_deg: float = 0.0
+
+
+def load_mission(path: Path) -> StitchInput:
+    """Read a mission directory.
+
+    Args:
+        path: as the user named it.
+
+    Raises:
+        UsageError: it is no mission directory, or its manifest or plan is damaged.
+        StitchError: no photo in it can be used.
+    """
+    directory = existing_mission_directory(path)
+    document = read_manifest(directory.manifest)
+    band, tolerance, calibrated = _WHOLE_SPHERE, _USUAL_TOLERANCE, None
+    masks: tuple[AngleBox, ...] = ()
+    if directory.plan.exists():
+        plan = read_plan_file(directory.plan)
+        calibrated = plan.camera.calibrated_focal_length_mm if plan.camera else None
+        if plan.constraints is not None:
+            band, masks, tolerance = plan.constraints.band, plan.constraints.masks, plan.constraints.tolerance
+    exports = export_set(document, directory.path, calibrated_focal_length_mm=calibrated)
+    # of an exposure bracket, the first photo is stitched
+    accepted = [shot for shot in exports.shots if shot.bracket == 1]
+    if not accepted:
+        raise StitchError(f"{path}: the mission has no accepted photo; there is nothing to stitch")
+    usable, left_out = _usable(accepted, directory.path)
+    if not usable:
+        name, reason = next(iter(left_out.items()))
+        raise StitchError(
+            f"{path}: none of the {len(accepted)} accepted photos can be used ({name}: {reason}); "
+            f"copy them from the camera into {directory.images}"
+        )
+    taken = {shot.index for shot in accepted}
+    missing = tuple(entry["index"] for entry in document["shots"] if entry["index"] not in taken)
+    return StitchInput(
+        folder=directory.path,
+        project=hugin_project(replace(exports, shots=tuple(usable))),
+        band=band,
+        masks=masks,
+        tolerance=tolerance,
+        left_out=left_out,
+        missing_shots=missing,
+        heading_deg=exports.reference_yaw_north_deg,
+    )
+
+
+def _usable(shots: list[ExportShot], folder: Path) -> tuple[list[ExportShot], dict[str, str]]:
+    """The shots whose photo is there, whole, and as large as most of them; the others with the reason."""
+    found, left_out = [], {}
+    for shot in shots:
+        try:
+            found.append(_looked_at(shot, folder))
+        except FileNotFoundError:
+            left_out[shot.name] = (
+                "is missing" if shot.file_name else f"is missing (nobody named the file of shot {shot.index})"
+            )
+        except (OSError, ValueError) as error:
+            left_out[shot.name] = getattr(error, "strerror", None) or str(error)
+    if not found:
+        return [], left_out
+    sizes = Counter((shot.width_px, shot.height_px) for shot in found)
+    usual = sizes.most_common(1)[0][0]
+    for shot in found:
+        if (shot.width_px, shot.height_px) != usual:
+            left_out[shot.name] = f"is {shot.width_px} x {shot.height_px} px, the others {usual[0]} x {usual[1]} px"
+    return [shot for shot in found if shot.name not in left_out], left_out
+
+
+def _looked_at(shot: ExportShot, folder: Path) -> ExportShot:
+    """The shot with the size of its photo.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is damaged.
+    """
+    path = folder / shot.name
+    try:
+        header = read_jpeg_header(path)
+    except ValueError as error:
+        if path.suffix.lower() in {".jpg", ".jpeg"}:
+            raise
+        # another format that Hugin's tools read, too
+        try:
+            with PIL.Image.open(path) as picture:
+                width, height = picture.size
+        except PIL.UnidentifiedImageError:
+            raise ValueError("is no image") from error
+        return replace(shot, file_name=shot.name, width_px=width, height_px=height, orientation=1)
+    if not header.complete:
+        raise ValueError("is truncated")
+    return replace(
+        shot,
+        file_name=shot.name,
+        width_px=header.width_px,
+        height_px=header.height_px,
+        orientation=header.orientation,
+    )

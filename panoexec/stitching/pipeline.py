@@ -1,0 +1,361 @@
+"""The stitcher's steps, one after the other, each kept so that an interrupted run goes on where it stopped.
+
+1. *match*: control points by `cpfind`, which looks at overlapping images only, as the measured attitudes tell.
+2. *align*: one adjustment of all images (`panoexec.stitching.adjustment`).
+3. *render*: `nona` and blending, block by block.
+4. *finish*: TIFF, preview, completeness.
+
+A step is done when its result is on disk and `state.json` holds the fingerprint of what it was made from: photos,
+measured angles, options, and the results of the steps before.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import PIL.Image
+
+from panoexec.errors import UsageError
+from panoexec.files import write_atomically, write_atomically_with
+from panoexec.pto import PtoProject, parse_pto, render_pto
+from panoexec.stitching.adjustment import Adjustment, Lens, Points, adjust, spread_points, tied_group
+from panoexec.stitching.completeness import Completeness, Ground, PanoramaHole
+from panoexec.stitching.matching import as_control_points, believable, find_points
+from panoexec.stitching.mission import StitchInput
+from panoexec.stitching.rendering import PanoramaRenderer, Rendered
+from panoexec.stitching.tools import ToolError, check_tools, disk_error
+from panoexec.xmp import gpano_properties, packet, with_xmp
+
+FORMAT: Final = "panoexec.stitch/1"
+STEPS: Final = ("match", "align", "render", "finish")
+_POINTS_A_PAIR: Final = 40
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StitchOptions:
+    """How to stitch.
+
+    Attributes:
+        width_px: width of the whole sphere; None for the photos' resolution.
+        horizon_deg: elevation up to which the ground reaches, for completeness.
+        refine_lens: whether focal length and distortion are adjusted.
+        memory_bytes: how much memory blending may use.
+        restart: whether to forget what earlier runs left.
+    """
+
+    width_px: int | None = None
+    horizon_deg: float = 0.0
+    refine_lens: bool = True
+    memory_bytes: int = 1 << 30
+    restart: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StitchResult:
+    """What came out.
+
+    Attributes:
+        completeness: equation (8) and the holes.
+        images: photos stitched.
+        left_out: photos that could not be used, with the reason.
+        untied: names of photos that no control points tie to the others; they keep their measured angles.
+        points: control points used.
+        rms_px: their residual, pixels of the photos.
+        hfov_deg: field of view as adjusted.
+        correction_deg: largest angle by which an image was turned.
+        canvas_px: size of the whole sphere.
+        seconds: time of each step, over all runs.
+        panorama: the TIFF.
+        preview: the JPEG.
+    """
+
+    completeness: Completeness
+    images: int
+    left_out: dict[str, str]
+    untied: tuple[str, ...]
+    points: int
+    rms_px: float
+    hfov_deg: float
+    correction_deg: float
+    canvas_px: tuple[int, int]
+    seconds: dict[str, float] = field(default_factory=dict)
+    panorama: Path = Path()
+    preview: Path = Path()
+
+    def to_json(self) -> dict[str, Any]:
+        """A JSON object (`panoexec.stitch/1`)."""
+        document = asdict(self)
+        rms = self.rms_px if np.isfinite(self.rms_px) else None
+        return {
+            "format": FORMAT,
+            **document,
+            "rms_px": rms,
+            "panorama": self.panorama.name,
+            "preview": self.preview.name,
+        }
+
+
+Progress = Callable[[str, float, str], None]
+"""Called with a step's name, the fraction of it that is done, and a text."""
+
+
+class Stitcher:
+    """Stitches one mission.
+
+    Args:
+        mission: what there is to stitch.
+        options: how.
+        progress: told about every step.
+    """
+
+    def __init__(self, mission: StitchInput, options: StitchOptions, progress: Progress) -> None:
+        self._mission = mission
+        self._options = options
+        self._progress = progress
+        self._work = mission.folder / "stitch"
+        self._state: dict[str, dict[str, Any]] = {}
+
+    def run(self) -> StitchResult:
+        """Run the steps that are not done yet.
+
+        Raises:
+            ToolError: a tool is missing or failed, or the disk is full; completed steps are kept.
+            StitchError: a photo cannot be read.
+        """
+        check_tools()
+        try:
+            if self._options.restart:
+                shutil.rmtree(self._work, ignore_errors=True)
+            self._work.mkdir(exist_ok=True)
+        except OSError as error:
+            raise disk_error(self._work, error) from error
+        try:
+            return self._run()
+        except UsageError as error:
+            # a file of ours that could not be written: the disk is the matter, not the user
+            raise ToolError(str(error)) from error
+
+    def _run(self) -> StitchResult:
+        self._state = self._read_state()
+        measured = self._measured()
+        key = self._fingerprint(measured)
+        matched = self._step("match", key, self._work / "matched.pto", lambda: self._match(measured))
+        key = _digest(
+            key, matched.read_text(encoding="utf-8"), str(self._options.refine_lens), repr(self._mission.tolerance)
+        )
+        aligned = self._step("align", key, self._work / "aligned.pto", lambda: self._align(measured, matched))
+        project = parse_pto(aligned.read_text(encoding="utf-8"))
+        renderer = self._renderer(project)
+        ground = repr((self._options.horizon_deg, self._mission.band, self._mission.masks))
+        key = _digest(key, aligned.read_text(encoding="utf-8"), ground, str(self._options.memory_bytes))
+        blocks = self._work / "blocks"
+        if self._state.get("render", {}).get("key") != key:
+            # blocks of another alignment are worthless
+            shutil.rmtree(blocks, ignore_errors=True)
+            self._panorama.with_name(self._panorama.name + ".part").unlink(missing_ok=True)
+            self._state["render"] = {"key": key, "seconds": 0.0, "done": False}
+            self._write_state()
+        result = self._work / "stitch.json"
+        self._step("render", key, blocks, lambda: renderer.render(self._told("render")))
+        self._step("finish", key, result, lambda: self._finish(renderer, project))
+        return self._result(json.loads(result.read_text(encoding="utf-8")))
+
+    def _step(self, name: str, key: str, product: Path, work: Callable[[], None]) -> Path:
+        """Do a step unless it was done with the same inputs and its product is there."""
+        known = self._state.get(name, {})
+        same = known.get("key") == key
+        if same and known.get("done") and (product.exists() or self._state.get("finish", {}).get("key") == key):
+            self._progress(name, 1.0, "done before")
+            return product
+        spent = float(known.get("seconds", 0.0)) if same else 0.0
+        started = time.monotonic()
+        self._progress(name, 0.0, "")
+        try:
+            work()
+        finally:
+            spent += time.monotonic() - started
+            self._state[name] = {"key": key, "seconds": round(spent, 2), "done": False}
+            self._write_state()
+        self._state[name]["done"] = True
+        self._write_state()
+        self._progress(name, 1.0, f"{spent:.1f} s")
+        return product
+
+    # --- the steps
+
+    def _measured(self) -> PtoProject:
+        """Photos with measured angles on the canvas asked for."""
+        project = self._mission.project
+        width = self._options.width_px
+        return project if width is None else replace(project, canvas_px=(2 * (width // 2), width // 2))
+
+    def _match(self, measured: PtoProject) -> None:
+        found = find_points(measured, self._mission.folder, self._work, self._told("match"))
+        write_atomically(self._work / "matched.pto", render_pto(found))
+
+    def _align(self, measured: PtoProject, matched: Path) -> None:
+        """Adjust; leave `aligned.pto`, which Hugin opens, and what is known of the alignment beside it."""
+        found = parse_pto(matched.read_text(encoding="utf-8"))
+        lens = _lens(measured)
+        points = believable(replace(measured, control_points=found.control_points), self._mission.tolerance, lens)
+        points = spread_points(points, _POINTS_A_PAIR)
+        self._progress("align", 0.3, f"{len(points)} points")
+        result = adjust(points, measured.rotations(), lens, refine_lens=self._options.refine_lens)
+        kept = points.only(result.kept)
+        tied = tied_group(kept, len(measured.images))
+        aligned = _aligned(measured, result, kept)
+        untied = [image.file_name for number, image in enumerate(measured.images) if number not in tied]
+        correction = _largest_turn_deg(measured, result)
+        facts = {
+            "untied": untied,
+            "points": len(kept),
+            "rms_px": round(result.rms_px, 3) if len(kept) else None,
+            "hfov_deg": round(aligned.hfov_deg, 4),
+            "correction_deg": round(correction, 4),
+        }
+        write_atomically(self._work / "alignment.json", json.dumps(facts, indent=1) + "\n")
+        write_atomically(self._work / "aligned.pto", render_pto(aligned))
+
+    def _renderer(self, project: PtoProject) -> PanoramaRenderer:
+        mission = self._mission
+        return PanoramaRenderer(
+            project,
+            mission.folder,
+            self._work,
+            target=self._panorama,
+            ground=Ground(band=mission.band, horizon_deg=self._options.horizon_deg, masks=mission.masks),
+            memory_bytes=self._options.memory_bytes,
+            xmp=packet(gpano_properties(project.canvas_px[0], heading_deg=mission.heading_deg)),
+        )
+
+    def _finish(self, renderer: PanoramaRenderer, project: PtoProject) -> None:
+        """Finish the TIFF, write the preview and the verdict, and remove what is no longer needed."""
+        rendered = renderer.finish()
+        preview = self._write_preview(rendered)
+        facts = json.loads((self._work / "alignment.json").read_text(encoding="utf-8"))
+        result = StitchResult(
+            completeness=rendered.completeness,
+            images=len(project.images),
+            left_out=dict(self._mission.left_out),
+            untied=tuple(facts["untied"]),
+            points=facts["points"],
+            rms_px=float("nan") if facts["rms_px"] is None else facts["rms_px"],
+            hfov_deg=facts["hfov_deg"],
+            correction_deg=facts["correction_deg"],
+            canvas_px=project.canvas_px,
+            panorama=self._panorama,
+            preview=preview,
+        )
+        write_atomically(self._work / "stitch.json", json.dumps(result.to_json(), indent=1) + "\n")
+        for name in ("blocks", "remapped", "match"):
+            shutil.rmtree(self._work / name, ignore_errors=True)
+
+    def _write_preview(self, rendered: Rendered) -> Path:
+        """The whole sphere as a JPEG with GPano tags; its size is the canvas's, or a whole fraction of it."""
+        path = self._work / "panorama.jpg"
+        width = rendered.preview.shape[1]
+        tags = gpano_properties(width, heading_deg=self._mission.heading_deg)
+        tags["GPano:FullPanoHeightPixels"] = tags["GPano:CroppedAreaImageHeightPixels"] = str(rendered.preview.shape[0])
+
+        def write(temporary: Path) -> None:
+            PIL.Image.fromarray(rendered.preview).save(temporary, "JPEG", quality=90)
+            temporary.write_bytes(with_xmp(temporary.read_bytes(), packet(tags)))
+
+        write_atomically_with(path, write)
+        return path
+
+    def _result(self, document: dict[str, Any]) -> StitchResult:
+        """What `stitch.json` says, with the times of all steps, which it gets, too."""
+        seconds = {name: self._state[name]["seconds"] for name in STEPS if name in self._state}
+        if document.get("seconds") != seconds:
+            document["seconds"] = seconds
+            write_atomically(self._work / "stitch.json", json.dumps(document, indent=1) + "\n")
+        return result_from_json(document, self._work)
+
+    # --- bookkeeping
+
+    @property
+    def _panorama(self) -> Path:
+        return self._work / "panorama.tif"
+
+    def _told(self, step: str) -> Callable[[float, str], None]:
+        return lambda fraction, text: self._progress(step, fraction, text)
+
+    def _fingerprint(self, project: PtoProject) -> str:
+        """Of the photos, their measured angles and the canvas."""
+        parts = [render_pto(project)]
+        for image in project.images:
+            status = (self._mission.folder / image.file_name).stat()
+            parts.append(f"{image.file_name} {status.st_size} {status.st_mtime_ns}")
+        return _digest(*parts)
+
+    def _read_state(self) -> dict[str, dict[str, Any]]:
+        try:
+            state = json.loads((self._work / "state.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return {}
+        return state if isinstance(state, dict) else {}
+
+    def _write_state(self) -> None:
+        write_atomically(self._work / "state.json", json.dumps(self._state, indent=1) + "\n")
+
+
+def result_from_json(document: dict[str, Any], work: Path) -> StitchResult:
+    """The result that `StitchResult.to_json` wrote.
+
+    Args:
+        document: the JSON object.
+        work: the folder where it lay.
+    """
+    verdict = document["completeness"]
+    holes = tuple(PanoramaHole(**hole) for hole in verdict["holes"])
+    return StitchResult(
+        completeness=Completeness(**{**verdict, "holes": holes}),
+        images=document["images"],
+        left_out=document["left_out"],
+        untied=tuple(document["untied"]),
+        points=document["points"],
+        rms_px=float("nan") if document["rms_px"] is None else document["rms_px"],
+        hfov_deg=document["hfov_deg"],
+        correction_deg=document["correction_deg"],
+        canvas_px=(document["canvas_px"][0], document["canvas_px"][1]),
+        seconds=document["seconds"],
+        panorama=work / document["panorama"],
+        preview=work / document["preview"],
+    )
+
+
+def _digest(*parts: str) -> str:
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
+
+
+def _lens(project: PtoProject) -> Lens:
+    image = project.images[0]
+    return Lens(width_px=image.width_px, height_px=image.height_px, focal_length_px=project.focal_length_px)
+
+
+def _aligned(measured: PtoProject, result: Adjustment, kept: Points) -> PtoProject:
+    lens = result.lens
+    distortion = {"b": lens.distortion} if abs(lens.distortion) > 1e-9 else {}
+    return replace(
+        measured.with_rotations(result.rotations),
+        hfov_deg=float(np.degrees(2 * np.arctan(lens.width_px / 2 / lens.focal_length_px))),
+        lens=distortion,
+        control_points=as_control_points(kept),
+        optimise=tuple((name, number) for number in range(1, len(measured.images)) for name in "ypr"),
+    )
+
+
+def _largest_turn_deg(measured: PtoProject, result: Adjustment) -> float:
+    """The largest angle by which an image was turned from what was measured."""
+    relative = np.swapaxes(measured.rotations(), -1, -2) @ result.rotations
+    cosine = (np.trace(relative, axis1=1, axis2=2) - 1) / 2
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).max())

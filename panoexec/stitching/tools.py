@@ -1,0 +1,91 @@
+"""Runs Hugin's command-line tools, and says clearly what is missing or went wrong."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections import deque
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import ClassVar, Final
+
+from panoexec.errors import PanoexecError
+
+NEEDED: Final = ("cpfind", "nona")
+_INSTALL: Final = "install them with  apt-get install hugin-tools"
+_LITTLE_SPACE_BYTES: Final = 64 << 20
+
+
+class StitchError(PanoexecError):
+    """The mission cannot be stitched as it is: no photos, too few, or damaged ones."""
+
+
+class ToolError(PanoexecError):
+    """One of Hugin's tools is missing or failed, or the disk is full; completed steps are kept."""
+
+    exit_code: ClassVar[int] = 3
+
+
+def check_tools() -> None:
+    """Make sure that Hugin's tools are there.
+
+    Raises:
+        ToolError: some are not; the message says how to install them.
+    """
+    missing = [name for name in NEEDED if shutil.which(name) is None]
+    if missing:
+        raise ToolError(f"Hugin's tools {', '.join(missing)} are not installed: {_INSTALL}")
+
+
+def run_tool(command: Sequence[str], folder: Path, on_line: Callable[[str], None] | None = None) -> None:
+    """Run a tool to its end in a folder; it dies with us.
+
+    Args:
+        command: the tool and its arguments.
+        folder: working directory.
+        on_line: called with each line that it prints.
+
+    Raises:
+        ToolError: it could not be started or failed; the message has its last words and, if so, that the disk is full.
+    """
+    name = command[0]
+    last: deque[str] = deque(maxlen=3)
+    try:
+        # a fixed locale, so that lines can be understood
+        process = subprocess.Popen(  # noqa: S603  (fixed names, no shell)
+            list(command), cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            text=True, errors="replace", env=os.environ | {"LC_ALL": "C"},
+        )  # fmt: skip
+    except OSError as error:
+        raise ToolError(f"{name} cannot be started ({error.strerror}): {_INSTALL}") from error
+    with process:
+        try:
+            assert process.stdout is not None
+            for line in process.stdout:
+                if line.strip():
+                    last.append(line.strip())
+                if on_line is not None:
+                    on_line(line.rstrip("\n"))
+            code = process.wait()
+        finally:
+            if process.poll() is None:
+                process.kill()
+    if code:
+        ended = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
+        raise ToolError(f"{name} {ended}{_full(folder)}: {' | '.join(last) or 'it said nothing'}")
+
+
+def disk_error(folder: Path, error: OSError) -> ToolError:
+    """What to raise when writing below `folder` failed."""
+    reason = error.strerror or type(error).__name__
+    return ToolError(f"{folder}: cannot be written ({reason}{_full(folder)}); completed steps are kept")
+
+
+def _full(folder: Path) -> str:
+    """A remark if hardly anything is left on the folder's disk."""
+    try:
+        free = shutil.disk_usage(folder).free
+    except OSError:
+        return ""
+    return f" (only {free >> 20} MiB left on the disk)" if free < _LITTLE_SPACE_BYTES else ""
