@@ -10,6 +10,8 @@ right, 3 bottom left. Edge i runs from corner i to corner i + 1: 0 top, 1 right,
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -17,6 +19,7 @@ from panoexec.angles import FloatArray
 from panoexec.optics import Camera
 
 
+@lru_cache(maxsize=64)
 def edge_normals(camera: Camera) -> FloatArray:
     """Inward unit normals of the four edge planes (top, right, bottom, left), camera frame.
 
@@ -26,11 +29,13 @@ def edge_normals(camera: Camera) -> FloatArray:
     This holds for any field of view below 180°.
 
     Returns:
-        (4, 3).
+        (4, 3), read-only.
     """
     w, h = camera.half_width, camera.half_height
     normals = np.array([[h, 0.0, 1.0], [w, -1.0, 0.0], [h, 0.0, -1.0], [w, 1.0, 0.0]])
-    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals.flags.writeable = False
+    return normals
 
 
 def corner_rays(camera: Camera) -> FloatArray:

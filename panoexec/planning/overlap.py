@@ -24,6 +24,8 @@ from panoexec.angles import FloatArray
 from panoexec.optics import Camera
 from panoexec.planning.footprint import edge_normals, rectangle
 
+_FEW = 4
+"""Up to so many pairs, plain Python is faster than numpy's overhead."""
 _AT_A_TIME = 8192
 """Pairs worked on together: bounds the memory and stays in the processor's cache."""
 
@@ -45,6 +47,8 @@ def pairwise_overlap(
     planes = half_planes(rotations_a, rotations_b, camera_b or camera_a)
     shape = planes.shape[:-2]
     planes = planes.reshape(-1, 4, 3)
+    if len(planes) <= _FEW:
+        return np.array([_overlap_of_one(camera_a, own) for own in planes.tolist()]).reshape(shape)
     areas = [
         polygon_area(clip_footprints(camera_a, planes[start : start + _AT_A_TIME]))
         for start in range(0, len(planes), _AT_A_TIME)
@@ -199,6 +203,35 @@ def polygon_area(polygons: FloatArray) -> FloatArray:
     y, z = np.moveaxis(polygons[:, 1:] - polygons[:, :1], -1, 0)
     area = np.abs((y[:, :-1] * z[:, 1:] - y[:, 1:] * z[:, :-1]).sum(axis=1)) / 2
     return np.asarray(np.where(np.isnan(area), 0.0, area))
+
+
+def _overlap_of_one(camera: Camera, planes: list[list[float]]) -> float:
+    """`pairwise_overlap` for one pair, in plain Python: the share of the image that four half-planes leave."""
+    w, h = camera.half_width, camera.half_height
+    corners = [(-w, -h), (w, -h), (w, h), (-w, h)]
+    for c, a, b in planes:
+        distances = [c + a * y + b * z for y, z in corners]
+        if min(distances) >= 0:
+            continue
+        kept: list[tuple[float, float]] = []
+        y0, z0 = corners[-1]
+        d0 = distances[-1]
+        for (y1, z1), d1 in zip(corners, distances, strict=True):
+            if (d0 >= 0) != (d1 >= 0):
+                share = d0 / (d0 - d1)
+                kept.append((y0 + share * (y1 - y0), z0 + share * (z1 - z0)))
+            if d1 >= 0:
+                kept.append((y1, z1))
+            y0, z0, d0 = y1, z1, d1
+        if len(kept) < 3:
+            return 0.0
+        corners = kept
+    y0, z0 = corners[0]
+    twice = 0.0
+    for i in range(1, len(corners) - 1):
+        (y1, z1), (y2, z2) = corners[i], corners[i + 1]
+        twice += (y1 - y0) * (z2 - z0) - (y2 - y0) * (z1 - z0)
+    return min(1.0, abs(twice) / (8 * w * h))
 
 
 def _cut(polygons: FloatArray, distance: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
