@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from panoexec.clock import Clock
 from panoexec.devices import Camera, EvidenceLevel, Gimbal, PendingCapture
 from panoexec.errors import DeviceError
-from panoexec.mission.pace import slew_time_s
 from panoexec.mission.preflight import gimbal_limits
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.waiting import until, within
+from panoexec.planning.duration import slew_time_s
 from panoexec.planning.model import Shot
 from panoexec.pointing import (
     SettleLimits,

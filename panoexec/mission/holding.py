@@ -26,7 +26,8 @@ class Holding:
     def __init__(self, flight: Flight, guards: tuple[Guard, ...]) -> None:
         self._flight = flight
         self._guards = guards
-        self._touched = False
+        # a process that was killed may have left the gimbal in our hands: its manager knows us by our component
+        self._touched = flight.record.gimbal_held
         self._boots = flight.vehicle.status.boot_count
 
     async def watch(self) -> None:

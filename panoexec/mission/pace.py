@@ -1,32 +1,8 @@
-"""How long slews take, what the hardware allows at best, and how long the rest of a mission will take."""
+"""How long the rest of a mission will take, learned while flying."""
 
 from __future__ import annotations
 
 import math
-
-from panoexec.angles import wrap_180
-from panoexec.planning.model import GimbalLimits
-
-
-def axis_time_s(angle_deg: float, rate_deg_s: float, acceleration_deg_s2: float) -> float:
-    """Least time from rest to rest: a trapezoid of speed, or a triangle if the rate is never reached."""
-    angle = abs(angle_deg)
-    if angle >= rate_deg_s**2 / acceleration_deg_s2:
-        return angle / rate_deg_s + rate_deg_s / acceleration_deg_s2
-    return 2 * math.sqrt(angle / acceleration_deg_s2)
-
-
-def slew_time_s(
-    limits: GimbalLimits, *, from_pitch_deg: float, from_yaw_deg: float, to_pitch_deg: float, to_yaw_deg: float
-) -> float:
-    """Least time of a slew: both axes move at once, the yaw axis the short way if it turns without end."""
-    yaw = to_yaw_deg - from_yaw_deg
-    if limits.yaw_endless:
-        yaw = float(wrap_180(yaw))
-    return max(
-        axis_time_s(to_pitch_deg - from_pitch_deg, limits.pitch_rate_deg_s, limits.pitch_acceleration_deg_s2),
-        axis_time_s(yaw, limits.yaw_rate_deg_s, limits.yaw_acceleration_deg_s2),
-    )
 
 
 class Pace:

@@ -9,12 +9,13 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-from panoexec.angles import FloatArray, quaternion_from_rotation, rotation, wrap_180
+from panoexec.angles import wrap_180
 from panoexec.clock import Clock
 from panoexec.devices import (
     AttitudeSample,
     CaptureEvidence,
     EvidenceLevel,
+    Quaternion,
     VehicleAttitude,
     VehicleStatus,
     YawFrame,
@@ -41,14 +42,33 @@ def _eased(start: float, end: float, elapsed: float, rate: float, acceleration: 
     return end - sign * acceleration * left * left / 2
 
 
+def product(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Hamilton product."""
+    (aw, ax, ay, az), (bw, bx, by, bz) = a, b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+def quaternion(angles: Angles) -> Quaternion:
+    """Of yaw, pitch, roll in 3-1-2 order."""
+    yaw, pitch, roll = (math.radians(angle) / 2 for angle in angles)
+    about_x = (math.cos(roll), math.sin(roll), 0.0, 0.0)
+    about_y = (math.cos(pitch), 0.0, math.sin(pitch), 0.0)
+    return product(product((math.cos(yaw), 0.0, 0.0, math.sin(yaw)), about_x), about_y)
+
+
 class FakeFeed:
     """Samples at a fixed rate, from what the gimbal claims."""
 
     def __init__(self, *, clock: Clock) -> None:
         self._clock = clock
-        self._samples: deque[AttitudeSample] = deque(maxlen=4000)
+        self._samples: deque[AttitudeSample] = deque(maxlen=100_000)
         self._arrived = asyncio.Event()
-        self.vehicle: deque[VehicleAttitude] = deque(maxlen=4000)
+        self.vehicle: deque[VehicleAttitude] = deque(maxlen=100_000)
 
     def push(self, sample: AttitudeSample) -> None:
         self._samples.append(sample)
@@ -94,6 +114,7 @@ class FakeGimbal:
     # faults
     drift: Callable[[float], Angles] | None = None
     silent: bool = False
+    mute: Callable[[float], bool] | None = None
     frozen: bool = False
     nan: bool = False
     stuck: bool = False
@@ -114,10 +135,8 @@ class FakeGimbal:
         self._start: Angles = (0.0, 0.0, 0.0)
         self._end: Angles = (0.0, 0.0, 0.0)
         self._since = -math.inf
-        self._last: tuple[float, FloatArray] | None = None
-        self._airframe = rotation(*self.vehicle_angles)
-        w, x, y, z = (float(v) for v in quaternion_from_rotation(self._airframe))
-        self._airframe_q = (w, x, y, z)
+        self._last: Quaternion | None = None
+        self._airframe_q = quaternion(self.vehicle_angles)
 
     def _limits(self) -> GimbalLimits:
         return self.limits or GimbalLimits()
@@ -128,10 +147,6 @@ class FakeGimbal:
         yaw = _eased(self._start[0], self._end[0], elapsed, limits.yaw_rate_deg_s, limits.yaw_acceleration_deg_s2)
         pitch = _eased(self._start[1], self._end[1], elapsed, limits.pitch_rate_deg_s, limits.pitch_acceleration_deg_s2)
         return yaw, pitch, 0.0
-
-    def true_rotation(self, at_s: float) -> FloatArray:
-        """Where the camera really looks: camera to world (NED)."""
-        return rotation(*self._angles(at_s))
 
     def _angles(self, at_s: float) -> Angles:
         yaw, pitch, roll = self.commanded(at_s)
@@ -144,23 +159,23 @@ class FakeGimbal:
         """Report for ever."""
         while True:
             await self.clock.sleep(1 / self.rate_hz)
-            if not self.silent:
+            if not self.silent and not (self.mute is not None and self.mute(self.clock.monotonic())):
                 self.report()
 
     def report(self) -> None:
         now = self.clock.monotonic()
         if self._last is None or not self.frozen:
             noise = [self._random.gauss(0, self.noise_deg) for _ in range(3)]
-            self._last = now, self.true_rotation(now) @ rotation(*noise)
-        world = self._last[1]
-        airframe = self._airframe
+            here = self._angles(now)
+            self._last = quaternion((here[0] + noise[0], here[1] + noise[1], here[2] + noise[2]))
+        w, x, y, z = self._airframe_q
+        q = self._last
         if self.frame is YawFrame.BODY:
-            relative = airframe.T @ world
+            q = product((w, -x, -y, -z), q)
         elif self.frame is YawFrame.VEHICLE:
-            relative = rotation(-math.degrees(math.atan2(airframe[1, 0], airframe[0, 0])), 0.0) @ world
-        else:
-            relative = world
-        w, x, y, z = (float("nan"),) * 4 if self.nan else (float(v) for v in quaternion_from_rotation(relative))
+            heading = math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+            q = product((math.cos(heading / 2), 0.0, 0.0, -math.sin(heading / 2)), q)
+        nan = float("nan")
         step = 1e-3
         speed = math.dist(self._angles(now), self._angles(now - step)) / step
         self.feed.vehicle.append(VehicleAttitude(now, now, self._airframe_q))
@@ -168,9 +183,9 @@ class FakeGimbal:
             AttitudeSample(
                 received_s=now,
                 vehicle_s=now,
-                q_wxyz=(w, x, y, z),
+                q_wxyz=(nan, nan, nan, nan) if self.nan else q,
                 yaw_frame=self.frame,
-                rate_deg_s=speed if self.tells_rate else float("nan"),
+                rate_deg_s=speed if self.tells_rate else nan,
                 failure_flags=self.failure_flags,
             )
         )

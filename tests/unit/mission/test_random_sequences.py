@@ -1,0 +1,244 @@
+"""Thousands of missions under random commands, faults, stops and kills; every invariant is checked after each.
+
+`PANOEXEC_SEQUENCES` sets how many (default 2000); a failing one prints its seed, `PANOEXEC_SEED` repeats just that one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+from panoexec import events as ev
+from panoexec.devices import EvidenceLevel
+from panoexec.mission.control import CommandRefusedError
+from panoexec.mission.executor import Mission
+from panoexec.mission.record import MissionRecord, Verdict
+from panoexec.mission.settings import GuardSettings
+from panoexec.planning.model import GimbalLimits
+from panoexec.states import FINISHED
+from tests.unit.fakes.checks import check_mission
+from tests.unit.fakes.process import Process
+from tests.unit.fakes.virtual import run_virtual
+from tests.unit.fakes.world import World, a_plan, a_world, some_settings
+
+COUNT = int(os.environ.get("PANOEXEC_SEQUENCES", "2000"))
+CHUNK = 50
+METRE = 1 / 111_194.9
+FAST = GimbalLimits(
+    pitch_rate_deg_s=400.0,
+    yaw_rate_deg_s=720.0,
+    pitch_acceleration_deg_s2=4000.0,
+    yaw_acceleration_deg_s2=4000.0,
+)
+
+
+def _set(target: str, **values: Any) -> Callable[[World], None]:
+    def change(world: World) -> None:
+        thing = getattr(world, target)
+        if target == "vehicle":
+            thing.change(**values)
+        else:
+            for name, value in values.items():
+                setattr(thing, name, value)
+
+    return change
+
+
+def _wander(world: World) -> None:
+    world.gimbal.drift = lambda at_s: (0.0, 0.4 if int(at_s * 3) % 3 == 0 else 0.0, 0.0)
+
+
+def _shutter_open(world: World, at_s: float) -> bool:
+    return bool(world.camera.photos) and 0 <= at_s - world.camera.photos[-1].triggered_s < 0.15
+
+
+def _kick(world: World) -> None:
+    """The shutter shakes the camera: out of tolerance exactly while it is open."""
+    world.gimbal.drift = lambda at_s: (0.0, 0.3 if _shutter_open(world, at_s) else 0.0, 0.0)
+
+
+def _blink(world: World) -> None:
+    """No attitude gets through while the shutter is open."""
+    world.gimbal.mute = lambda at_s: _shutter_open(world, at_s)
+
+
+FAULTS: dict[str, tuple[Callable[[World], None], Callable[[World], None]]] = {
+    "link": (_set("vehicle", connected=False), _set("vehicle", connected=True)),
+    "silent": (_set("gimbal", silent=True), _set("gimbal", silent=False)),
+    "nan": (_set("gimbal", nan=True), _set("gimbal", nan=False)),
+    "frozen": (_set("gimbal", frozen=True), _set("gimbal", frozen=False)),
+    "flags": (_set("gimbal", failure_flags=32), _set("gimbal", failure_flags=0)),
+    "stuck": (_set("gimbal", stuck=True), _set("gimbal", stuck=False)),
+    "drift": (_wander, _set("gimbal", drift=None)),
+    "kick": (_kick, _set("gimbal", drift=None)),
+    "blink": (_blink, _set("gimbal", mute=None)),
+    "steal": (_set("gimbal", in_control=False), lambda _: None),
+    "refused": (_set("gimbal", refusals=4), _set("gimbal", refusals=0)),
+    "no control": (_set("gimbal", in_control=False, refuse_control=2), _set("gimbal", refuse_control=0)),
+    "pilot": (_set("vehicle", mode="STABILIZED"), _set("vehicle", mode="OFFBOARD")),
+    "landed": (_set("vehicle", in_air=False), _set("vehicle", in_air=True)),
+    "battery": (_set("vehicle", battery_frac=0.1), _set("vehicle", battery_frac=0.9)),
+    "position": (_set("vehicle", latitude_deg=47.0 + 3 * METRE), _set("vehicle", latitude_deg=47.0)),
+    "reboot": (_set("vehicle", boot_count=1), lambda _: None),
+    "storage": (_set("camera", storage_free_images=0), _set("camera", storage_free_images=1e9)),
+    "lost proof": (_set("camera", lost_proofs=1), _set("camera", lost_proofs=0)),
+    "late proof": (_set("camera", proof_after_s=0.7), _set("camera", proof_after_s=0.05)),
+    "lost command": (_set("camera", lost_commands=1), _set("camera", lost_commands=0)),
+    "refused photo": (_set("camera", refusals=1), _set("camera", refusals=0)),
+    "slow disk": (_set("journal", delay_s=0.8), _set("journal", delay_s=0.004)),
+}
+COMMANDS = ["pause", "resume", "skip", "repeat", "finish", "abort", "interrupt"]
+WEIGHTS = [6, 8, 3, 3, 1, 1, 1]
+
+
+@dataclass
+class Tally:
+    """What the sequences reached, so that the test knows that it tested something."""
+
+    states: set[str]
+    codes: set[str]
+    kills: int = 0
+    resumed: int = 0
+    accepted: int = 0
+    rejected: int = 0
+    paused: set[str] | None = None
+
+
+def _command(rng: random.Random, mission: Mission, name: str) -> None:
+    verb = getattr(mission.verbs, name)
+    try:
+        if name in {"skip", "repeat"} and rng.random() < 0.5:
+            verb(rng.randrange(5))
+        else:
+            verb()
+    except CommandRefusedError:
+        pass
+
+
+async def _stir(rng: random.Random, world: World, mission: Mission, steps: int) -> None:
+    """Random commands and faults; at the end all is well again, and the mission is asked to go on."""
+    for _ in range(steps):
+        await world.clock.sleep(rng.choice([0.0, 0.001, 0.05, 0.1, 0.3, 0.6, 1.5]) * rng.random())
+        if rng.random() < 0.3:
+            _command(rng, mission, rng.choices(COMMANDS, WEIGHTS)[0])
+        else:
+            inject, clear = FAULTS[rng.choice(list(FAULTS))]
+            (inject if rng.random() < 0.6 else clear)(world)
+    for _, clear in FAULTS.values():
+        clear(world)
+    while not mission.record.ended:
+        await world.clock.sleep(1.3)
+        _command(rng, mission, "resume")
+
+
+async def _live(rng: random.Random, world: World, tally: Tally) -> MissionRecord | None:
+    """One process: it ends by itself, or is killed, or stopped hard. Returns None when it was killed."""
+    process = Process(world)
+    mission = process.mission(past=list(world.journal.events))
+    end = rng.choices(["by itself", "kill", "cancel"], [6, 3, 1])[0]
+    async with asyncio.TaskGroup() as group:
+        running = group.create_task(mission.run(), name="mission")
+        stirring = group.create_task(_stir(rng, world, mission, rng.randrange(8)), name="stir")
+        if end != "by itself":
+            killer = group.create_task(world.clock.sleep(rng.random() * 5.0), name="killer")
+            await asyncio.wait({running, killer}, return_when=asyncio.FIRST_COMPLETED)
+            killer.cancel()
+        if end == "kill" and not running.done():
+            await process.kill(running)
+            tally.kills += 1
+        elif end == "cancel" and not running.done():
+            running.cancel()
+        await asyncio.wait({running})
+        stirring.cancel()
+    for _, clear in FAULTS.values():
+        clear(world)
+    return None if process.dead else mission.record
+
+
+async def _sequence(seed: int, tally: Tally) -> None:
+    rng = random.Random(seed)
+    settings = some_settings(
+        settle_s=0.1,
+        interval_s=0.2,
+        patience_s=0.4,
+        attempts=2,
+        rounds=2,
+        evidence_s=1.0,
+        max_pause_s=rng.choice([3.0, 20.0]),
+        max_rate_deg_s=5.0,
+        pending=rng.choice([1, 1, 2]),
+        accept=rng.choice(["tolerance", "tolerance", "overlap"]),
+        min_evidence=rng.choice([EvidenceLevel.ACKNOWLEDGED, EvidenceLevel.CAPTURE_MESSAGE]),
+        gimbal=FAST,
+        guards=GuardSettings(
+            allowed_modes=("OFFBOARD",), reclaim=rng.choice(["ask", "never"]), reclaim_after_s=0.5, clear_s=0.3
+        ),
+    )
+    plan = a_plan(rng.choice([1, 3, 4]))
+    async with a_world(plan=plan, settings=settings, rate_hz=20.0, limits=FAST, seed=seed) as world:
+        world.camera.proof_after_s = 0.05
+        for lives in range(1, 7):
+            record = await _live(rng, world, tally)
+            world.vehicle.change(boot_count=0)
+            if record is None:
+                continue
+            check_mission(world, record)
+            _check_photos(world, record, lives)
+            tally.states.add(record.state.value)
+            if record.state in FINISHED or rng.random() < 0.3:
+                break
+            tally.resumed += 1
+        else:
+            return
+        for shot in record.shots.values():
+            for attempt in shot.attempts:
+                tally.accepted += attempt.verdict is Verdict.ACCEPTED
+                tally.rejected += attempt.verdict is Verdict.REJECTED
+                tally.codes.add(attempt.code)
+
+
+def _check_photos(world: World, record: MissionRecord, lives: int) -> None:
+    """No photo is unaccounted for but the one that a kill or a hard stop may cost."""
+    known = sum(len(attempt.photos) for shot in record.shots.values() for attempt in shot.attempts)
+    gentle = 0
+    for event in world.journal.events:
+        stopped = isinstance(event, ev.MissionPaused) and event.code == "interrupted" and "at once" not in event.reason
+        gentle += stopped or isinstance(event, ev.MissionFinished)
+    assert known <= len(world.camera.photos) <= known + lives - gentle
+
+
+def _run(seed: int, tally: Tally) -> None:
+    try:
+        run_virtual(_sequence(seed, tally))
+    except BaseException as error:
+        error.add_note(f"PANOEXEC_SEED={seed}")
+        raise
+
+
+TALLY = Tally(states=set(), codes=set())
+
+
+@pytest.mark.parametrize("chunk", range(COUNT // CHUNK))
+def test_random_commands_faults_and_kills(chunk: int) -> None:
+    if "PANOEXEC_SEED" in os.environ:
+        _run(int(os.environ["PANOEXEC_SEED"]), TALLY)
+        return
+    for seed in range(chunk * CHUNK, (chunk + 1) * CHUNK):
+        _run(seed, TALLY)
+
+
+def test_the_sequences_reached_what_they_are_for() -> None:
+    if "PANOEXEC_SEED" in os.environ or TALLY.kills == 0:
+        pytest.skip("looks at the sequences of the same run")
+    assert TALLY.states >= {"complete", "incomplete", "aborted", "failed", "paused"}
+    assert TALLY.codes >= {"not_settled", "pointing", "no_samples", "trigger", "evidence", "gimbal", "crash"}
+    assert TALLY.kills > COUNT / 10
+    assert TALLY.resumed > COUNT / 10
+    assert TALLY.accepted > COUNT
+    assert TALLY.rejected > COUNT / 2
