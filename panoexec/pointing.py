@@ -192,8 +192,14 @@ class SettleTracker:
         self._newest = math.nan
         self._last: PoseError | None = None
         self._rate = math.nan
-        self.problem = "no attitude sample arrived"
+        self._problem: str | None = "no attitude sample arrived"
+
+    @property
+    def problem(self) -> str:
         """Why the newest reading is not inside tolerance and still; "" when it is."""
+        if self._problem is None and self._last is not None:  # put into words only when somebody asks
+            self._problem = describe_error(self._last, self._target.tolerance)
+        return self._problem or ""
 
     @property
     def inside_since_s(self) -> float:
@@ -218,11 +224,12 @@ class SettleTracker:
         """Take the next reading."""
         silent = reading.time_s - self._newest
         self._newest = reading.time_s
-        self.problem = self._judge(reading)
-        if self.problem or silent > self._limits.max_gap_s:
+        self._problem = self._judge(reading)
+        bad = self._problem != ""
+        if bad or silent > self._limits.max_gap_s:
             self._inside.clear()
             self._inside_since = math.nan
-        if self.problem:
+        if bad:
             return
         if math.isnan(self._inside_since):
             self._inside_since = reading.time_s
@@ -234,13 +241,14 @@ class SettleTracker:
         """Whether the newest reading is too old to say where the gimbal is at `now_s`."""
         return not now_s - self._newest <= self._limits.max_gap_s
 
-    def _judge(self, reading: Reading) -> str:
+    def _judge(self, reading: Reading) -> str | None:
+        """What is wrong with a reading: "" nothing, None that it is out of tolerance."""
         if reading.rotation is None:
             self._last = None
             return reading.problem
         self._last = error = pose_error(self._target.pitch_deg, self._target.yaw_deg, reading.rotation)
         if not bool(error.within(self._target.tolerance)):
-            return describe_error(error, self._target.tolerance)
+            return None
         rate = self._rate_deg_s(reading)
         if rate > self._limits.max_rate_deg_s:
             return f"still turning at {rate:.1f}°/s (at most {self._limits.max_rate_deg_s:g}°/s)"
