@@ -41,7 +41,7 @@ async def test_finds_the_autopilot_and_asks_for_its_streams(autopilot: ScriptedP
     assert interval_requests(autopilot, 30)[-1] == pytest.approx(5.0)
     sender = autopilot.commands[0]
     assert (sender.get_srcSystem(), sender.get_srcComponent()) == (1, 191)
-    assert (1, 191) in autopilot.heard
+    await autopilot.until(lambda: (1, 191) in autopilot.heard)
 
 
 async def test_reports_how_streams_do(autopilot: ScriptedPeer, link: MavsdkLink) -> None:
@@ -77,6 +77,7 @@ async def test_a_lost_link_is_noticed_and_its_return_too(autopilot: ScriptedPeer
     began = time.monotonic()
     await eventually(lambda: not link.connected, 10)
     assert 2.5 < time.monotonic() - began < 4.5
+    autopilot.answers[31_000] = lambda _: None
     with pytest.raises(LinkError, match="no link to the autopilot"):
         await link.command(31_000)
     autopilot.commands.clear()
@@ -291,7 +292,7 @@ class Cable:
 
     def __init__(self, name: Path) -> None:
         self.name = name
-        self.autopilot: ScriptedScriptedPeer | None = None
+        self.plugged: ScriptedPeer | None = None
         self._master = -1
 
     def plug(self) -> ScriptedPeer:
@@ -301,23 +302,23 @@ class Cable:
         self.name.symlink_to(os.ttyname(slave))
         os.close(slave)
         os.set_blocking(self._master, False)
-        peer = self.peer = ScriptedPeer()
+        peer = self.plugged = ScriptedPeer()
         asyncio.get_running_loop().add_reader(self._master, self._read)
         peer.use(self._write)
         return peer
 
     def unplug(self) -> None:
-        if self.peer is not None:
-            self.peer.close()
+        if self.plugged is not None:
+            self.plugged.close()
             asyncio.get_running_loop().remove_reader(self._master)
             os.close(self._master)
-            self.peer = None
+            self.plugged = None
             self.name.unlink(missing_ok=True)
 
     def _read(self) -> None:
         with contextlib.suppress(OSError):
-            if self.peer is not None:
-                self.peer.data_received(os.read(self._master, 4096))
+            if self.plugged is not None:
+                self.plugged.data_received(os.read(self._master, 4096))
 
     def _write(self, data: bytes) -> None:
         with contextlib.suppress(OSError):
@@ -328,7 +329,7 @@ class Cable:
 def cable(tmp_path: Path) -> Iterator[Cable]:
     one = Cable(tmp_path / "usb-ArduPilot-if00")
     yield one
-    assert one.peer is None, "unplug it"
+    assert one.plugged is None, "unplug it"
 
 
 async def test_a_serial_device_may_be_absent_at_first_and_unplugged_later(cable: Cable) -> None:
