@@ -26,7 +26,7 @@ from panoexec.planning.footprint import edge_normals, rectangle
 
 _FEW = 4
 """Up to so many pairs, plain Python is faster than numpy's overhead."""
-_AT_A_TIME = 8192
+_AT_A_TIME = 4096
 """Pairs worked on together: bounds the memory and stays in the processor's cache."""
 
 
