@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,21 +48,21 @@ class Patch:
 
 
 def blend(
-    shape: tuple[int, int], patches: Sequence[Patch], depth_of: Callable[[int], Floats], blur_px: int
+    shape: tuple[int, int], patches: Sequence[Patch], depth_of: Callable[[Patch], Floats], blur_px: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     """Blend patches into one picture.
 
     Args:
         shape: (height, width) of the view.
         patches: remapped images.
-        depth_of: gives the depth (height, width) of an image in the view: 1 in its middle, 0 at its border.
+        depth_of: gives the depth (h, w) of a patch's pixels in their image: 1 in its middle, 0 at its border.
         blur_px: radius that separates detail from brightness.
 
     Returns:
         (height, width, 3) uint8 and the mask of what is covered by at least one image.
     """
     height, width = shape
-    depths = [np.maximum(depth_of(patch.number)[patch.place], _LEAST_DEPTH) for patch in patches]
+    depths = [np.maximum(depth_of(patch), _LEAST_DEPTH) for patch in patches]
     best = np.full(shape, _LEAST_DEPTH, dtype=np.float32)
     for patch, depth in zip(patches, depths, strict=True):
         view = best[patch.place]
@@ -69,14 +70,14 @@ def blend(
     coarse, coarse_weight = np.zeros((height, width, 3), np.float32), np.zeros(shape, np.float32)
     fine, fine_weight = np.zeros((height, width, 3), np.float32), np.zeros(shape, np.float32)
     for patch, depth in zip(patches, depths, strict=True):
-        colour = patch.pixels.astype(np.float32)
-        smooth = _blurred(colour, patch.mask, blur_px)
+        smooth = _blurred(patch.pixels, patch.mask, blur_px)
         weight = np.where(patch.mask, depth * depth, 0).astype(np.float32)
         coarse[patch.place] += smooth * weight[..., None]
         coarse_weight[patch.place] += weight
-        weight = np.where(patch.mask, np.exp(_SHARPNESS * (depth / best[patch.place] - 1)), 0).astype(np.float32)
-        colour -= smooth
-        fine[patch.place] += colour * weight[..., None]
+        # masked pixels may be deeper than the best of the others: no overflow for them
+        behind = np.minimum(depth / best[patch.place] - 1, 0)
+        weight = np.where(patch.mask, np.exp(_SHARPNESS * behind), 0).astype(np.float32)
+        fine[patch.place] += (patch.pixels - smooth) * weight[..., None]
         fine_weight[patch.place] += weight
     covered = coarse_weight > 0
     coarse /= np.where(covered, coarse_weight, 1)[..., None]
@@ -87,25 +88,27 @@ def blend(
     return picture, covered
 
 
-def _blurred(colour: Floats, mask: NDArray[np.bool_], radius: int) -> Floats:
-    """Two box blurs over the mask's pixels alone."""
-    weight = mask.astype(np.float32)
-    total = colour * weight[..., None]
+def _blurred(pixels: NDArray[np.uint8], mask: NDArray[np.bool_], radius: int) -> Floats:
+    """Means (h, w, 3) over two box blurs of the mask's pixels alone."""
+    # sums of whole numbers are exact; they may wrap around on the way as long as the last ones fit
+    kind: type[np.unsignedinteger[Any]] = np.uint32 if 255 * (2 * radius + 1) ** 4 < 1 << 32 else np.uint64
+    weight: NDArray[np.unsignedinteger[Any]] = mask.astype(kind)
+    total: NDArray[np.unsignedinteger[Any]] = pixels.astype(kind)
+    total[~mask] = 0
     for _ in range(2):
-        total, weight = _box(total, radius), _box(weight[..., None], radius)[..., 0]
-    return np.asarray(total / np.maximum(weight, 1e-6)[..., None], dtype=np.float32)
+        for axis in (0, 1):
+            total, weight = _box_sums(total, radius, axis), _box_sums(weight, radius, axis)
+    share = weight.astype(np.float32)
+    return np.asarray(total / np.where(share > 0, share, 1)[..., None], dtype=np.float32)
 
 
-def _box(values: Floats, radius: int) -> Floats:
-    """Mean over a square of 2 · radius + 1 pixels, what is outside counting as 0; (h, w, c)."""
-    out = values
-    for axis in (0, 1):
-        length = out.shape[axis]
-        edges = [(0, 0)] * 3
-        edges[axis] = (1, 0)
-        # running sums in double precision: differences of long sums lose digits
-        sums = np.pad(np.cumsum(out, axis=axis, dtype=np.float64), edges)
-        upper = np.minimum(np.arange(length) + radius + 1, length)
-        lower = np.maximum(np.arange(length) - radius, 0)
-        out = ((sums.take(upper, axis=axis) - sums.take(lower, axis=axis)) / (2 * radius + 1)).astype(np.float32)
-    return out
+def _box_sums(values: NDArray[np.unsignedinteger[Any]], radius: int, axis: int) -> NDArray[np.unsignedinteger[Any]]:
+    """Sums over 2 · radius + 1 neighbours along an axis, what is outside counting as 0."""
+    sums = np.moveaxis(np.cumsum(values, axis=axis, dtype=values.dtype), axis, 0)
+    length = len(sums)
+    out = np.empty_like(sums)
+    inside = max(0, length - radius)
+    out[:inside] = sums[radius:]
+    out[inside:] = sums[-1]
+    out[radius + 1 :] -= sums[: max(0, length - radius - 1)]
+    return np.moveaxis(out, 0, axis)

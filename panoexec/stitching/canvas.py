@@ -118,35 +118,37 @@ def directions_of(view: View, canvas: tuple[int, int]) -> tuple[FloatArray, Floa
     return elevation, azimuth
 
 
-def image_margin(project: PtoProject, number: int, view: View) -> NDArray[np.float32]:
-    """How deep each pixel of a view lies inside an image, without distortion: 1 in its middle, 0 at its border.
+def image_depth(project: PtoProject, number: int, view: View, place: tuple[slice, slice]) -> NDArray[np.float32]:
+    """How deep pixels of a view lie inside an image, without distortion: 1 in its middle, 0 at its border.
 
     Args:
         project: the turned project.
         number: the image.
         view: the view.
+        place: rows and columns of the view.
 
     Returns:
-        (height, width) float32; negative outside, -1 behind the camera.
+        (rows, columns); negative outside, -1 behind the camera.
     """
     elevation, azimuth = (np.radians(a) for a in directions_of(view, project.canvas_px))
     image = project.images[number]
     matrix = image.rotation
-    cos_e, sin_e = np.cos(elevation).astype(np.float32), np.sin(elevation).astype(np.float32)
-    cos_a, sin_a = np.cos(azimuth).astype(np.float32), np.sin(azimuth).astype(np.float32)
-    # Rᵀ·d for d = (cos e · cos a, cos e · sin a, -sin e)
-    x, y, z = (
-        cos_e[:, None] * (np.float32(matrix[0, axis]) * cos_a + np.float32(matrix[1, axis]) * sin_a)
-        - (np.float32(matrix[2, axis]) * sin_e)[:, None]
-        for axis in range(3)
-    )
-    half_width = np.float32(image.width_px / 2 / project.focal_length_px)
-    half_height = np.float32(image.height_px / 2 / project.focal_length_px)
-    front = x > 1e-3
-    x[~front] = 1.0
-    depth = 1 - np.maximum(np.abs(y) / (half_width * x), np.abs(z) / (half_height * x))
-    depth[~front] = -1.0
-    return np.asarray(depth, dtype=np.float32)
+    cos_e, sin_e = np.cos(elevation[place[0]])[:, None], np.sin(elevation[place[0]])[:, None]
+    cos_a, sin_a = np.cos(azimuth[place[1]]), np.sin(azimuth[place[1]])
+
+    def axis(k: int, scale: float) -> NDArray[np.float32]:
+        # a component of Rᵀ·d for d = (cos e · cos a, cos e · sin a, -sin e)
+        level = (scale * (matrix[0, k] * cos_a + matrix[1, k] * sin_a)).astype(np.float32)
+        return np.asarray(cos_e.astype(np.float32) * level - (scale * matrix[2, k] * sin_e).astype(np.float32))
+
+    front = axis(0, 1.0)
+    side = np.abs(axis(1, 2 * project.focal_length_px / image.width_px))
+    np.maximum(side, np.abs(axis(2, 2 * project.focal_length_px / image.height_px)), out=side)
+    behind = front < 1e-3
+    front[behind] = 1.0
+    depth = 1 - side / front
+    depth[behind] = -1.0
+    return np.asarray(depth)
 
 
 def images_in_view(project: PtoProject, view: View, step: int = 16) -> list[int]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from panoexec.files import write_atomically
 from panoexec.pto import PtoProject, render_pto
 from panoexec.stitching.blending import Patch, blend
-from panoexec.stitching.canvas import Block, View, block_side, blocks, image_margin, images_in_view, turned, view_of
+from panoexec.stitching.canvas import Block, View, block_side, blocks, image_depth, images_in_view, turned, view_of
 from panoexec.stitching.completeness import BlockCount, Completeness, CompletenessCounter, Ground
 from panoexec.stitching.tiff import TILE_PX, TiledTiff, TileEntry
 from panoexec.stitching.tools import ToolError, disk_error, run_tool
@@ -139,7 +139,10 @@ class PanoramaRenderer:
         project = turned(self._project, view)
         patches = self._remap(project, view)
         picture, covered = blend(
-            (view.height, view.width), patches, lambda number: image_margin(project, number, view), self._blur
+            (view.height, view.width),
+            patches,
+            lambda patch: image_depth(project, patch.number, view, patch.place),
+            self._blur,
         )
         picture, covered = picture[view.inner], covered[view.inner]
         alpha = np.where(covered, np.uint8(255), np.uint8(0))
