@@ -25,11 +25,11 @@ from panoexec.devices import EvidenceLevel
 from panoexec.errors import LinkError
 from panoexec.events import AxisErrors, Event
 from panoexec.mission.executor import Mission
-from panoexec.mission.pace import slew_time_s
 from panoexec.mission.record import MissionRecord, Verdict
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission_dir import existing_mission_directory
 from panoexec.mission_session import Devices, MissionSession, StoredMission, create_mission, open_mission
+from panoexec.planning.duration import slew_time_s
 from panoexec.planning.model import Certificate, Plan, Shot
 from panoexec.pointing import pose_of, read_pose
 from panoexec.sim import settings as sim_settings
