@@ -10,7 +10,7 @@ Example:
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from panoexec.camera_profiles import CameraProfile
@@ -28,10 +28,11 @@ from panoexec.cli.planning_options import (
     timing_of,
 )
 from panoexec.errors import UsageError
-from panoexec.exports import FORMATS, export_plan
+from panoexec.exports import FORMATS, export
 from panoexec.planfile import plan_to_data, write_plan
-from panoexec.planning.duration import check_budget
-from panoexec.planning.model import Certificate, Plan
+from panoexec.planning.duration import budget_problems, check_budget
+from panoexec.planning.fit import what_would_fit
+from panoexec.planning.model import Certificate, Constraints, Plan
 from panoexec.plotting import check_plot_path, plot_plan
 
 _DISTANCES_M = (10.0, 50.0, 100.0)
@@ -70,16 +71,15 @@ def run(args: argparse.Namespace) -> int:
     if args.plot:
         check_plot_path(args.plot)
     profile = profile_of(args)
-    plan = make_plan(args, profile.camera, constraints_of(args), timing_of(profile))
-    check_budget(
-        plan, max_images=args.max_images, max_duration_s=args.max_duration, timing=timing_of(profile), fit=args.fit
-    )
+    constraints, timing = constraints_of(args), timing_of(profile)
+    plan = make_plan(args, profile.camera, constraints, timing)
+    _check_budget(args, plan, lambda changed: make_plan(args, profile.camera, changed, timing))
     if args.output:
         write_plan(args.output, plan)
     if args.plot:
         plot_plan(plan, args.plot)
     for name, path in exports:
-        export_plan(name, plan, path)
+        export(name, plan, path)
     if args.json:
         print_json(plan_to_data(plan))
     else:
@@ -150,6 +150,28 @@ def certificate_facts(certificate: Certificate) -> list[tuple[str, str]]:
         for hole in certificate.holes[:5]
     ]
     return facts
+
+
+def _check_budget(args: argparse.Namespace, plan: Plan, plan_with: Callable[[Constraints], Plan]) -> None:
+    limits = {"max_images": args.max_images, "max_duration_s": args.max_duration}
+    if budget_problems(plan, **limits):
+        hint = "--fit says which overlap or band would fit"
+        if args.fit:
+            hint = what_would_fit(plan.constraints, plan_with, **limits)
+        check_budget(plan, **limits, hint=hint)
+
+
+def _check_budget(args: argparse.Namespace, plan: Plan, profile: CameraProfile) -> None:
+    limits = {"max_images": args.max_images, "max_duration_s": args.max_duration}
+    hint = ""
+    if args.fit and budget_problems(plan, **limits):
+        options = fit_suggestions(
+            plan.constraints,
+            lambda changed: make_plan(args, profile.camera, changed, timing_of(profile)),
+            lambda candidate: not budget_problems(candidate, **limits),
+        )
+        hint = "; ".join(options) or "no smaller overlap and no lower band alone would fit"
+    check_budget(plan, **limits, hint=hint)
 
 
 def _export_target(text: str) -> tuple[str, Path]:
