@@ -112,10 +112,11 @@ def _options(args: argparse.Namespace) -> DryRunOptions:
     plan, profile = _plan_and_profile(args)
     if plan.certificate is not None and not plan.certificate.certified:
         note("note: the plan is not certified: " + "; ".join(plan.certificate.failures))
+    timing = timing_of(profile)
     settings = MissionSettings(
         tolerance=plan.constraints.tolerance,
-        exposure_s=profile.max_exposure_s if profile else MissionSettings.exposure_s,
-        interval_s=profile.min_interval_s if profile else MissionSettings.interval_s,
+        exposure_s=timing.exposure_s,
+        interval_s=timing.interval_s,
         accept=args.accept,
         gimbal=plan.constraints.gimbal or GimbalLimits(),
     )

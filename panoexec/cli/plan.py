@@ -161,19 +161,6 @@ def _check_budget(args: argparse.Namespace, plan: Plan, plan_with: Callable[[Con
         check_budget(plan, **limits, hint=hint)
 
 
-def _check_budget(args: argparse.Namespace, plan: Plan, profile: CameraProfile) -> None:
-    limits = {"max_images": args.max_images, "max_duration_s": args.max_duration}
-    hint = ""
-    if args.fit and budget_problems(plan, **limits):
-        options = fit_suggestions(
-            plan.constraints,
-            lambda changed: make_plan(args, profile.camera, changed, timing_of(profile)),
-            lambda candidate: not budget_problems(candidate, **limits),
-        )
-        hint = "; ".join(options) or "no smaller overlap and no lower band alone would fit"
-    check_budget(plan, **limits, hint=hint)
-
-
 def _export_target(text: str) -> tuple[str, Path]:
     name, equals, file = text.partition("=")
     if not equals or not file or name not in FORMATS:

@@ -14,7 +14,6 @@ from panoexec.planning.duration import estimate
 from panoexec.planning.hdrpano import plan_hdrpano
 from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Plan, Timing, Tolerance
 from panoexec.planning.paper import plan_paper
-from panoexec.planning.search import plan_certified
 from panoexec.planning.sequence import ORDERS, order_shots
 
 DEFAULT_CAMERA = "dji-x5s-15mm"
@@ -171,6 +170,8 @@ def make_plan(args: argparse.Namespace, camera: Camera, constraints: Constraints
         PlanningError: no plan can satisfy the constraints.
     """
     if args.method == "certified":
+        from panoexec.planning.search import plan_certified  # noqa: PLC0415  (other methods and verbs do without it)
+
         return plan_certified(camera, constraints, timing=timing, order=args.order)
     if args.method == "hdrpano":
         if not (args.columns and args.rows):
