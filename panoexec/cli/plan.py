@@ -28,11 +28,12 @@ from panoexec.cli.planning_options import (
     timing_of,
 )
 from panoexec.errors import UsageError
-from panoexec.exports import FORMATS, export
+from panoexec.exports import FORMATS, export_plan
 from panoexec.planfile import plan_to_data, write_plan
 from panoexec.planning.duration import budget_problems, check_budget
 from panoexec.planning.fit import what_would_fit
 from panoexec.planning.model import Certificate, Constraints, Plan
+from panoexec.planning.rows import row_table
 from panoexec.plotting import check_plot_path, plot_plan
 
 _DISTANCES_M = (10.0, 50.0, 100.0)
@@ -79,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     if args.plot:
         plot_plan(plan, args.plot)
     for name, path in exports:
-        export(name, plan, path)
+        export_plan(name, plan, path)
     if args.json:
         print_json(plan_to_data(plan))
     else:
@@ -92,13 +93,22 @@ def run(args: argparse.Namespace) -> int:
 
 def show_plan(plan: Plan, profile: CameraProfile, distances_m: Sequence[float]) -> None:
     """Rows, certificate, cost and size of a plan, for a person."""
-    camera, band = plan.camera, plan.constraints.band
+    camera = plan.camera
+    fov = f"{camera.hfov_deg:.2f}° × {camera.vfov_deg:.2f}°"
+    print(f"{len(plan.shots)} images of {camera.name} ({fov}, {profile.orientation}), method {plan.method}")
     print_table(
-        f"{camera.name}, {camera.hfov_deg:.2f}° × {camera.vfov_deg:.2f}°: {len(plan.shots)} images ({plan.method})",
-        ("row", "pitch °", "images", "spacing °"),
+        "",
+        ("row", "pitch °", "images", "spacing °", "overlap in row", "with row below"),
         (
-            (str(i), f"{pitch:+.2f}", str(len(shots)), f"{360 / len(shots):.2f}" if band.is_full_circle else "-")
-            for i, (pitch, shots) in reversed(list(enumerate(plan.rows())))
+            (
+                str(row.number),
+                f"{row.pitch_deg:+.2f}",
+                str(row.images),
+                "-" if row.spacing_deg is None else f"{row.spacing_deg:.2f}",
+                percent(row.overlap_h),
+                percent(row.overlap_below),
+            )
+            for row in reversed(row_table(plan))
         ),
     )
     facts = []
