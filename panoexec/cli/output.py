@@ -48,7 +48,9 @@ def print_table(
     from rich.table import Table  # noqa: PLC0415
     from rich.text import Text  # noqa: PLC0415
 
-    table = Table(title=title, caption=caption or None, box=box.SIMPLE_HEAD, title_justify="left", title_style="bold")
+    table = Table(
+        title=title or None, caption=caption or None, box=box.SIMPLE_HEAD, title_justify="left", title_style="bold"
+    )
     table.caption_justify = "left"
     left_columns = set(left)
     for column in columns:

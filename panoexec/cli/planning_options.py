@@ -14,7 +14,7 @@ from panoexec.planning.duration import estimate
 from panoexec.planning.hdrpano import plan_hdrpano
 from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Plan, Timing, Tolerance
 from panoexec.planning.paper import plan_paper
-from panoexec.planning.sequence import ORDERS, order_shots
+from panoexec.planning.sequence import ORDERS, Order, order_shots
 
 DEFAULT_CAMERA = "dji-x5s-15mm"
 DEFAULT_OVERLAP = 0.15
@@ -182,7 +182,7 @@ def make_plan(args: argparse.Namespace, camera: Camera, constraints: Constraints
     return finished(plan, timing, order=args.order)
 
 
-def finished(plan: Plan, timing: Timing, *, order: str | None = None) -> Plan:
+def finished(plan: Plan, timing: Timing, *, order: Order | None = None) -> Plan:
     """The plan with its shots in order, its certificate and its estimate."""
     limits = plan.constraints.gimbal or GimbalLimits()
     if order is not None:

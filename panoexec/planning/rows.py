@@ -1,0 +1,79 @@
+"""A plan row by row, for people: how many images, how far apart, how much they overlap at the planned poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from panoexec.angles import wrap_180
+from panoexec.optics import Camera
+from panoexec.planning.model import Plan, Shot, shot_rotations
+from panoexec.planning.overlap import pairwise_overlap, union_overlap
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RowSummary:
+    """One row; None where there is nothing to measure.
+
+    Attributes:
+        number: from 0, the lowest.
+        pitch_deg: of the row's first image.
+        images: how many.
+        spacing_deg: largest yaw from an image to its neighbour (all round, if the band closes on itself).
+        overlap_h: least overlap of neighbours.
+        overlap_below: least overlap of an image with the union of the row below.
+    """
+
+    number: int
+    pitch_deg: float
+    images: int
+    spacing_deg: float | None
+    overlap_h: float | None
+    overlap_below: float | None
+
+
+def row_table(plan: Plan) -> list[RowSummary]:
+    """The rows of a plan from the lowest up."""
+    rows = [shots for _, shots in plan.rows()]
+    summaries = []
+    for number, shots in enumerate(rows):
+        spacing, overlap = _neighbours(plan.camera, shots, closed=plan.constraints.band.is_full_circle)
+        summaries.append(
+            RowSummary(
+                number=number,
+                pitch_deg=shots[0].pitch_deg,
+                images=len(shots),
+                spacing_deg=spacing,
+                overlap_h=overlap,
+                overlap_below=_with_row(plan.camera, shots, rows[number - 1]) if number else None,
+            )
+        )
+    return summaries
+
+
+def _neighbours(camera: Camera, shots: Sequence[Shot], *, closed: bool) -> tuple[float | None, float | None]:
+    if len(shots) < 2:
+        return None, None
+    turns = shot_rotations(shots)
+    following = np.roll(turns, -1, axis=0)
+    yaws = np.array([shot.yaw_deg for shot in shots])
+    spacing = np.abs(wrap_180(np.roll(yaws, -1) - yaws))
+    overlap = np.minimum(pairwise_overlap(camera, turns, following), pairwise_overlap(camera, following, turns))
+    if not closed:
+        # a sector's row ends where its widest step is: it need not be where yaw wraps
+        widest = int(np.argmax(spacing))
+        spacing, overlap = np.delete(spacing, widest), np.delete(overlap, widest)
+    return float(spacing.max()), float(overlap.min())
+
+
+def _with_row(camera: Camera, shots: Sequence[Shot], others: Sequence[Shot]) -> float:
+    turns, partners = shot_rotations(shots), shot_rotations(others)
+    # images too far apart to share anything would only cost time
+    reach = np.cos(np.radians(min(180.0, 2 * np.degrees(np.arctan(np.hypot(camera.half_width, camera.half_height))))))
+    near = turns[:, :, 0] @ partners[:, :, 0].T > reach
+    most = max(1, int(near.sum(axis=1).max()))
+    order = np.argsort(~near, axis=1, kind="stable")[:, :most]
+    present = np.take_along_axis(near, order, axis=1)
+    return float(union_overlap(camera, turns, partners[order], present).min())
