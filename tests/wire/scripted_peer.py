@@ -248,6 +248,7 @@ class GimbalPeer(ScriptedPeer):
         self.limits = (-0.5, 0.5, -math.pi / 2, 0.5, -math.pi, math.pi)
         self.builders |= {280: self.manager, 281: self.manager_status, 285: self.attitude}
         self.answers |= {1000: lambda _: ACCEPTED, 1001: self._configure}
+        self.parameters["MNT1_TYPE"] = 6
 
     def manager(self) -> Any:
         return mavlink.MAVLink_gimbal_manager_information_message(self.boot_ms(), 206847, 1, *self.limits)

@@ -1,0 +1,297 @@
+"""The gimbal over real sockets: found, taken, pointed, watched, lost, given back."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import math
+import time
+from collections.abc import AsyncIterator
+
+import pytest
+
+from panoexec.adapters.mavsdk_gimbal import Feedback, MavsdkGimbal
+from panoexec.adapters.mavsdk_link import MavsdkLink
+from panoexec.clock import SystemClock
+from panoexec.devices import Gimbal, YawFrame
+from panoexec.errors import DeviceError, LinkError
+from panoexec.pointing import pose_of, read_pose
+from panoexec.sim.dialect import mavlink
+from tests.wire.scripted_peer import DENIED, NAN, GimbalPeer, ScriptedPeer, eventually
+
+DEVICE = 154
+
+
+@pytest.fixture
+async def gimbal(gimbal_link: MavsdkLink) -> AsyncIterator[MavsdkGimbal]:
+    async with MavsdkGimbal(gimbal_link) as one:
+        await one.discover()
+        yield one
+
+
+def half_turn(yaw_deg: float, pitch_deg: float) -> list[float]:
+    y, p = math.radians(yaw_deg) / 2, math.radians(pitch_deg) / 2
+    return [
+        math.cos(p) * math.cos(y),
+        -math.sin(p) * math.sin(y),
+        math.sin(p) * math.cos(y),
+        math.cos(p) * math.sin(y),
+    ]
+
+
+async def test_is_found_with_its_limits(gimbal: MavsdkGimbal) -> None:
+    protocol: Gimbal = gimbal
+    found = gimbal.found
+    assert found is not None
+    assert (found.manager_component, found.device_id, found.vendor, found.feedback) == (1, 1, "", "vehicle")
+    limits = protocol.limits
+    assert limits is not None
+    assert (limits.pitch_min_deg, limits.pitch_max_deg) == (-90.0, 28.648)
+    assert limits.yaw_endless
+    assert gimbal.age_s < 1.0
+
+
+async def test_is_not_found_without_its_attitude_and_says_which_message_is_missing(
+    autopilot: ScriptedPeer, link: MavsdkLink
+) -> None:
+    async with MavsdkGimbal(link) as gimbal:
+        with pytest.raises(DeviceError, match=r"no gimbal within 0\.3 s: no GIMBAL_DEVICE_ATTITUDE_STATUS \(285\)"):
+            await gimbal.discover(timeout_s=0.3)
+        assert gimbal.feed.latest is None
+        assert not gimbal.in_control
+        await gimbal.release()
+
+
+async def test_is_not_found_without_a_manager_and_says_so(
+    gimbal_autopilot: GimbalPeer, gimbal_link: MavsdkLink
+) -> None:
+    del gimbal_autopilot.builders[280]
+    async with MavsdkGimbal(gimbal_link) as gimbal:
+        await eventually(lambda: gimbal.feed.latest is not None)
+        with pytest.raises(DeviceError, match=r"no gimbal manager answers for GIMBAL_MANAGER_INFORMATION \(280\)"):
+            await gimbal.discover(timeout_s=0.3)
+
+
+async def test_is_taken_and_given_back_with_confirmation(gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal) -> None:
+    assert not gimbal.in_control
+    await gimbal.acquire()
+    assert gimbal.in_control
+    assert gimbal.controlled_by == (1, 191)
+    assert gimbal_autopilot.streams[285] == pytest.approx(1 / 50)
+    assert gimbal_autopilot.streams[30] == pytest.approx(1 / 50)
+    await gimbal.release()
+    assert gimbal_autopilot.control == (0, 0)
+    assert not gimbal.in_control
+    assert gimbal_autopilot.streams[285] == pytest.approx(1 / 5)
+
+
+async def test_taking_it_is_not_believed_without_confirmation(
+    gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal
+) -> None:
+    gimbal_autopilot.control = (255, 190)
+    gimbal_autopilot.answers[1001] = lambda _: 0  # accepted, and nothing done
+    with pytest.raises(DeviceError, match="accepted, but its manager names system 255 component 190 after 3 s"):
+        await gimbal.acquire()
+
+
+async def test_a_refusal_is_a_device_error(gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal) -> None:
+    gimbal_autopilot.answers[1001] = lambda _: DENIED
+    with pytest.raises(DeviceError, match="taking control of the gimbal: "):
+        await gimbal.acquire()
+    gimbal_autopilot.answers[1000] = lambda _: DENIED
+    with pytest.raises(DeviceError, match=r"pointing the gimbal at pitch -10\.0° yaw 20\.0°: ") as caught:
+        await gimbal.point(-10.0, 20.0)
+    assert not isinstance(caught.value, LinkError)
+    assert caught.value.__cause__ is not None
+
+
+async def test_loss_of_control_is_noticed(gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal) -> None:
+    await gimbal.acquire()
+    gimbal_autopilot.control = (255, 190)
+    await eventually(lambda: not gimbal.in_control)
+    assert gimbal.controlled_by == (255, 190)
+
+
+@pytest.mark.parametrize(
+    ("yaw_deg", "sent_deg"), [(0.0, 0.0), (-120.5, -120.5), (180.0, -180.0), (190.0, -170.0), (-540.0, -180.0)]
+)
+async def test_points_in_the_earth_frame(
+    gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal, yaw_deg: float, sent_deg: float
+) -> None:
+    await gimbal.point(-33.25, yaw_deg)
+    (command,) = gimbal_autopilot.sent(1000)
+    assert (command.param1, command.param2) == (-33.25, sent_deg)
+    assert int(command.param5) & 16  # YAW_LOCK: yaw from north
+    assert (command.target_component, command.param7) == (1, 1)
+
+
+async def test_does_not_point_nowhere(gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal) -> None:
+    with pytest.raises(ValueError, match="cannot point at pitch nan"):
+        await gimbal.point(math.nan, 0.0)
+    assert not gimbal_autopilot.sent(1000)
+
+
+async def test_pointing_at_a_dead_link_is_a_link_error_and_release_is_bounded(
+    gimbal_autopilot: GimbalPeer, gimbal_link: MavsdkLink, gimbal: MavsdkGimbal
+) -> None:
+    await gimbal.acquire()
+    gimbal_autopilot.close()
+    await eventually(lambda: not gimbal_link.connected, 6)
+    with pytest.raises(LinkError, match="no link to the autopilot"):
+        await gimbal.point(0.0, 0.0)
+    began = time.monotonic()
+    await gimbal.release()
+    assert time.monotonic() - began < 3.0
+
+
+async def test_the_feed_delivers_what_was_sent_when_it_comes(
+    gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal
+) -> None:
+    await gimbal.acquire()
+    latest = gimbal.feed.latest
+    assert latest is not None
+    newest = latest.received_s
+    stamps = []
+    for _ in range(20):
+        sample = await gimbal.feed.newer_than(newest)
+        assert sample.received_s > newest
+        newest = sample.received_s
+        stamps.append(sample.vehicle_s)
+    assert len(gimbal.feed.since(latest.received_s)) >= 20
+    gaps = [b - a for a, b in itertools.pairwise(stamps)]
+    assert 0.01 < sum(gaps) / len(gaps) < 0.04
+    gimbal_autopilot.q = [NAN] * 4
+    gimbal_autopilot.rates = (NAN, 0.0, 0.0)
+    gimbal_autopilot.failures = 32
+    await eventually(lambda: gimbal.feed.latest is not None and gimbal.feed.latest.failure_flags == 32)
+    worst = gimbal.feed.latest
+    assert worst is not None
+    assert all(math.isnan(part) for part in worst.q_wxyz)
+    assert math.isnan(worst.rate_deg_s)
+
+
+@pytest.mark.parametrize(
+    ("flags", "yaw_deg"),
+    [(44, 120.0), (60, 120.0), (76, 30.0), (28, 30.0), (12, 120.0)],
+    ids=["vehicle", "ArduPilot locked", "earth", "old lock", "old follow"],
+)
+async def test_the_pose_is_the_same_whatever_frame_it_comes_in(
+    gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal, flags: int, yaw_deg: float
+) -> None:
+    """The vehicle heads 90°; the camera looks to `yaw_deg` from north, level, whatever the vehicle's lean."""
+    gimbal_autopilot.euler = (math.radians(14), math.radians(-8), math.radians(90))
+    gimbal_autopilot.q = half_turn(30.0, -20.0)
+    gimbal_autopilot.flags = flags
+    await gimbal.acquire()
+    began = gimbal.feed.latest
+    assert began is not None
+    for _ in range(3):
+        began = await gimbal.feed.newer_than(began.received_s)
+    attitude = gimbal.feed.vehicle_attitude_at(began)
+    assert attitude is not None
+    rotation = read_pose(began, attitude, 0.0).rotation
+    assert rotation is not None
+    pose = pose_of(rotation)
+    assert (pose.yaw_deg, pose.pitch_deg, pose.roll_deg) == pytest.approx((yaw_deg, -20.0, 0.0), abs=1e-3)
+
+
+async def test_the_gimbals_own_reports_spare_the_autopilots_copy(
+    gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal
+) -> None:
+    await gimbal.acquire()
+    assert gimbal_autopilot.streams[285] == pytest.approx(1 / 50)
+    began = time.monotonic()
+
+    def own() -> None:
+        flags, gimbal_autopilot.flags = gimbal_autopilot.flags, 76
+        gimbal_autopilot.send(gimbal_autopilot.attitude(boot_ms=5, device=0), DEVICE)
+        gimbal_autopilot.flags = flags
+
+    while gimbal_autopilot.streams[285] < 0.9:
+        own()
+        await asyncio.sleep(0.02)
+        assert time.monotonic() - began < 5
+    latest = gimbal.feed.latest
+    assert latest is not None
+    assert latest.yaw_frame is YawFrame.EARTH
+    # when they fall silent, the copy is asked for again
+    await eventually(lambda: gimbal_autopilot.streams[285] < 0.03, 8)
+    await eventually(lambda: gimbal.feed.latest is not None and gimbal.feed.latest.yaw_frame is YawFrame.VEHICLE)
+
+
+@pytest.mark.parametrize(("kind", "feedback"), [(1, "body"), (6, "vehicle"), (7, "none")])
+async def test_the_mounts_type_tells_what_its_reports_are_worth(
+    gimbal_autopilot: GimbalPeer, gimbal_link: MavsdkLink, kind: int, feedback: Feedback
+) -> None:
+    gimbal_autopilot.parameters["MNT1_TYPE"] = kind
+    async with MavsdkGimbal(gimbal_link) as gimbal:
+        assert (await gimbal.discover()).feedback == feedback
+        await gimbal.acquire()
+        latest = gimbal.feed.latest
+        assert latest is not None
+        sample = await gimbal.feed.newer_than(latest.received_s)
+        assert sample.yaw_frame is (YawFrame.BODY if feedback == "body" else YawFrame.VEHICLE)
+
+
+async def test_the_config_overrules_detection(gimbal_autopilot: GimbalPeer, gimbal_link: MavsdkLink) -> None:
+    gimbal_autopilot.parameters["MNT1_TYPE"] = 7
+    async with MavsdkGimbal(gimbal_link, feedback="earth") as gimbal:
+        assert (await gimbal.discover()).feedback == "earth"
+        assert (await gimbal.feed.newer_than(0.0)).yaw_frame is YawFrame.EARTH
+
+
+async def test_a_second_mount_does_not_mix_in(gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal) -> None:
+    before = gimbal.feed.latest
+    assert before is not None
+    for _ in range(20):
+        gimbal_autopilot.send(gimbal_autopilot.attitude(boot_ms=999_999, device=2))
+    await gimbal.feed.newer_than(before.received_s)
+    assert all(sample.vehicle_s < 900 for sample in gimbal.feed.since(0.0))
+
+
+async def test_the_stream_comes_back_after_a_reboot_in_flight(
+    gimbal_autopilot: GimbalPeer, gimbal_link: MavsdkLink, gimbal: MavsdkGimbal
+) -> None:
+    gimbal_autopilot.boot_at -= 1000
+    await gimbal.acquire()
+    await asyncio.sleep(0.2)
+    gimbal_autopilot.control = (0, 0)
+    gimbal_autopilot.reboot()
+    silent = gimbal.feed.latest
+    assert silent is not None
+    sample = await asyncio.wait_for(gimbal.feed.newer_than(silent.received_s + 0.3), 10)
+    assert sample.vehicle_s < 100
+    await eventually(lambda: gimbal_link.boot_count == 1)
+    assert gimbal_autopilot.streams[285] == pytest.approx(1 / 50)
+    await eventually(lambda: not gimbal.in_control)
+    await gimbal.acquire()
+    assert gimbal.in_control
+
+
+async def test_a_daemon_that_waits_looks_only_now_and_then(gimbal_autopilot: GimbalPeer) -> None:
+    gimbal_autopilot.flags = 76
+    async with (
+        MavsdkLink(gimbal_autopilot.url, clock=SystemClock(), sparing=True) as link,
+        MavsdkGimbal(link) as gimbal,
+    ):
+        await link.wait_autopilot(10)
+        began = time.monotonic()
+        own = 0
+        while time.monotonic() - began < 1.5:
+            gimbal_autopilot.send(gimbal_autopilot.attitude(device=0), DEVICE)
+            own += 1
+            await asyncio.sleep(0.01)
+        assert own > 75
+        assert 3 <= len(gimbal.feed.since(0.0)) <= 20
+        # a mission has them all
+        await link.use_rates(active=True)
+        latest = gimbal.feed.latest
+        assert latest is not None
+        for _ in range(30):
+            gimbal_autopilot.send(gimbal_autopilot.attitude(device=0), DEVICE)
+            await asyncio.sleep(0.005)
+        await eventually(lambda: len(gimbal.feed.since(latest.received_s)) >= 30)
+
+
+def test_the_peer_speaks_of_the_right_gimbal() -> None:
+    assert mavlink.MAV_COMP_ID_GIMBAL == DEVICE

@@ -1,0 +1,107 @@
+"""The vehicle over real sockets: what it says, and what is believed of it."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from panoexec.adapters.mavsdk_link import MavsdkLink
+from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
+from panoexec.devices import Vehicle
+from panoexec.sim.dialect import mavlink
+from tests.wire.scripted_peer import ScriptedPeer, eventually
+
+GPS = 0x20
+
+
+def sys_status(battery: int = 73, health: int = GPS) -> mavlink.MAVLink_sys_status_message:
+    return mavlink.MAVLink_sys_status_message(GPS, GPS, health, 0, 15000, 1000, battery, 0, 0, 0, 0, 0, 0)
+
+
+def ekf(flags: int) -> mavlink.MAVLink_ekf_status_report_message:
+    return mavlink.MAVLink_ekf_status_report_message(flags, 0, 0, 0, 0, 0, 0)
+
+
+async def test_the_status_is_what_the_vehicle_says(autopilot: ScriptedPeer, link: MavsdkLink) -> None:
+    autopilot.builders |= {
+        1: sys_status,
+        193: lambda: ekf(16 + 1),
+        245: lambda: mavlink.MAVLink_extended_sys_state_message(0, 2),
+    }
+    autopilot.armed = True
+    async with MavsdkVehicle(link) as mavsdk_vehicle:
+        vehicle: Vehicle = mavsdk_vehicle
+        autopilot.send(sys_status())
+        autopilot.send(ekf(17))
+        autopilot.send(mavlink.MAVLink_extended_sys_state_message(0, 2))
+        await eventually(lambda: vehicle.status.mode and vehicle.status.position_ok and vehicle.status.in_air)
+        status = vehicle.status
+        assert status.connected
+        assert status.armed
+        assert status.mode == "OFFBOARD"  # GUIDED
+        assert (status.latitude_deg, status.longitude_deg) == pytest.approx((47.397742, 8.545594))
+        assert (status.altitude_m, status.relative_altitude_m, status.heading_deg) == (488.0, 30.0, 90.0)
+        assert status.battery_frac == pytest.approx(0.73)
+        assert status.boot_count == 0
+        autopilot.custom_mode, autopilot.armed = 0, False
+        await eventually(lambda: vehicle.status.mode == "STABILIZED" and not vehicle.status.armed)
+
+
+async def test_nothing_is_made_up(autopilot: ScriptedPeer, link: MavsdkLink) -> None:
+    autopilot.builders[33] = lambda: mavlink.MAVLink_global_position_int_message(
+        autopilot.boot_ms(), 0, 0, 0, 1500, 0, 0, 0, 65535
+    )
+    async with MavsdkVehicle(link) as vehicle:
+        autopilot.send(sys_status(battery=-1, health=0))
+        await eventually(lambda: vehicle.status.relative_altitude_m == 1.5)
+        status = vehicle.status
+        unknown = (status.latitude_deg, status.longitude_deg, status.altitude_m, status.heading_deg)
+        assert all(math.isnan(value) for value in (*unknown, status.battery_frac))
+        assert not status.position_ok
+        assert not status.in_air
+
+
+@pytest.mark.parametrize(
+    ("flags", "gps", "trusted"),
+    [(16, 0, True), (16 + 128, GPS, False), (0, GPS, False), (None, GPS, True), (None, 0, False)],
+    ids=["estimator", "constant position", "no position", "GPS alone", "nothing"],
+)
+async def test_the_estimator_is_believed_before_the_gps(
+    autopilot: ScriptedPeer, link: MavsdkLink, flags: int | None, gps: int, trusted: bool
+) -> None:
+    async with MavsdkVehicle(link) as vehicle:
+        if flags is not None:
+            autopilot.send(ekf(flags))
+        autopilot.send(sys_status(battery=50, health=gps))
+        await eventually(lambda: vehicle.status.battery_frac == 0.5 and vehicle.status.latitude_deg > 0)
+        assert vehicle.status.position_ok is trusted
+
+
+async def test_other_components_do_not_speak_for_the_vehicle(autopilot: ScriptedPeer, link: MavsdkLink) -> None:
+    async with MavsdkVehicle(link) as vehicle:
+        autopilot.send(sys_status(battery=10), component=100)
+        autopilot.send(mavlink.MAVLink_heartbeat_message(30, 8, 128, 0, 4, 3), component=100)
+        autopilot.send(sys_status(battery=60))
+        await eventually(lambda: vehicle.status.battery_frac == 0.6)
+        await eventually(lambda: 100 in link.components)
+        assert not vehicle.status.armed
+
+
+async def test_a_reboot_takes_the_position_away_until_it_is_told_again(
+    autopilot: ScriptedPeer, link: MavsdkLink
+) -> None:
+    async with MavsdkVehicle(link) as vehicle:
+        autopilot.boot_at -= 1000
+        autopilot.send(ekf(16))
+        await eventually(lambda: vehicle.status.position_ok)
+        autopilot.reboot()
+        await eventually(lambda: vehicle.status.boot_count == 1, 10)
+        assert not vehicle.status.position_ok
+
+
+async def test_the_pilot_is_told(autopilot: ScriptedPeer, link: MavsdkLink) -> None:
+    async with MavsdkVehicle(link) as vehicle:
+        await vehicle.say("panoexec: started")
+    await autopilot.until(lambda: autopilot.others)
+    assert [m.text for m in autopilot.others if m.get_type() == "STATUSTEXT"] == ["panoexec: started"]
