@@ -205,13 +205,15 @@ def flight_guards(settings: MissionSettings) -> tuple[Guard, ...]:
 def distance_m(origin: tuple[float, float, float], vehicle: VehicleStatus) -> float:
     """Distance of the vehicle from a place (latitude, longitude, altitude), metres; NaN if either is unknown.
 
-    Flat earth, good to a part in a thousand for the few metres that matter; the height counts if both are known.
+    The larger of the way along the ground and half the way in height, whose error is about twice as large. Flat earth,
+    good to a part in a thousand for the few metres that matter; the height counts if both are known.
     """
     latitude, longitude, altitude = origin
     north = math.radians(vehicle.latitude_deg - latitude) * EARTH_RADIUS_M
     east = math.radians(vehicle.longitude_deg - longitude) * EARTH_RADIUS_M * math.cos(math.radians(latitude))
     up = vehicle.altitude_m - altitude
-    return math.hypot(north, east, 0.0 if math.isnan(up) else up)
+    along = math.hypot(north, east)
+    return along if math.isnan(along) or math.isnan(up) else max(along, abs(up) / 2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

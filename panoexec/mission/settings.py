@@ -20,7 +20,8 @@ class GuardSettings:
 
     Attributes:
         battery_floor_frac: no shot below this charge, 0 to 1; 0 switches the guard off.
-        position_drift_m: how far from where the mission began (parallax), metres; infinity switches it off.
+        position_drift_m: how far from where the mission began (parallax), metres; twice that in height, which
+            satellites tell worse; infinity switches it off.
         position_back_frac: it goes on when back within this fraction of that distance.
         allowed_modes: flight modes (as the adapter names them) in which the mission may use the gimbal; empty = all.
         attitude_silence_s: how long the gimbal may be silent.
@@ -31,7 +32,7 @@ class GuardSettings:
     """
 
     battery_floor_frac: float = 0.25
-    position_drift_m: float = 1.5
+    position_drift_m: float = 3.0
     position_back_frac: float = 0.7
     allowed_modes: tuple[str, ...] = ()
     attitude_silence_s: float = 1.0

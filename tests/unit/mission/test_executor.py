@@ -657,13 +657,13 @@ class TestFaults:
         async def script(world: World, mission: Mission) -> None:
             await until_event(world, ev.ShotStarted, 2)
             metre = 1 / 111_194.9
-            world.vehicle.change(latitude_deg=47.0 + 1.6 * metre)
+            world.vehicle.change(latitude_deg=47.0 + 3.1 * metre)
             await until_event(world, ev.MissionPaused)
-            assert "1.6 m away from where" in mission.record.reason
-            world.vehicle.change(latitude_deg=47.0 + 1.2 * metre)
+            assert "3.1 m away from where" in mission.record.reason
+            world.vehicle.change(latitude_deg=47.0 + 2.4 * metre)
             await world.clock.sleep(5.0)
             assert mission.record.state is S.PAUSED
-            world.vehicle.change(latitude_deg=47.0 + 1.0 * metre)
+            world.vehicle.change(latitude_deg=47.0 + 2.0 * metre)
 
         assert fly(script).record.state is S.COMPLETE
 

@@ -84,7 +84,7 @@ FAULTS: dict[str, tuple[Callable[[World], None], Callable[[World], None]]] = {
     "pilot": (_set("vehicle", mode="STABILIZED"), _set("vehicle", mode="OFFBOARD")),
     "landed": (_set("vehicle", in_air=False), _set("vehicle", in_air=True)),
     "battery": (_set("vehicle", battery_frac=0.1), _set("vehicle", battery_frac=0.9)),
-    "position": (_set("vehicle", latitude_deg=47.0 + 3 * METRE), _set("vehicle", latitude_deg=47.0)),
+    "position": (_set("vehicle", latitude_deg=47.0 + 4 * METRE), _set("vehicle", latitude_deg=47.0)),
     "reboot": (_set("vehicle", boot_count=1), lambda _: None),
     "storage": (_set("camera", storage_free_images=0), _set("camera", storage_free_images=1e9)),
     "lost proof": (_set("camera", lost_proofs=1), _set("camera", lost_proofs=0)),
