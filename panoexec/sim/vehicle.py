@@ -76,6 +76,8 @@ class Vehicle:
         self.airframe = airframe
         self.modes = ModeBook(config.autopilot)
         self._links = {"ground": ground, "payload": payload}
+        self._ground_gate = _Gate(ground, self)
+        self._ground_heard = False  # nothing is forwarded to where nobody was heard
         self._telemetry = Telemetry(
             config,
             clock=clock,
@@ -156,6 +158,7 @@ class Vehicle:
 
         def up() -> None:
             self._boot_s = self._timeline.now_s
+            self._ground_heard = False
             self.manager.forget()
             self._start_streams()
 
@@ -167,6 +170,7 @@ class Vehicle:
             return
         if message.get_srcSystem() == self._config.system_id and message.get_srcComponent() == COMPONENT_ID:
             return
+        self._ground_heard = True
         target = getattr(message, "target_component", 0)
         if getattr(message, "target_system", 0) in (0, self._config.system_id):
             if target != COMPONENT_ID:
@@ -179,8 +183,8 @@ class Vehicle:
         if self.is_silent:
             return
         target = getattr(message, "target_component", 0)
-        if target != COMPONENT_ID:
-            _Gate(self._links["ground"], self).send(frame, message)
+        if target != COMPONENT_ID and self._ground_heard:
+            self._ground_gate.send(frame, message)
         if target in (0, COMPONENT_ID):
             self._handle(self._payload, message)
 
@@ -234,6 +238,7 @@ class Vehicle:
             mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
             mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._capabilities,
             mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._reboot_command,
+            mavlink.MAV_CMD_IMAGE_START_CAPTURE: self._no_camera,
         }.get(command.id)
         return int(mavlink.MAV_RESULT_UNSUPPORTED) if action is None else action(command)
 
@@ -265,6 +270,11 @@ class Vehicle:
     def _capabilities(self, command: Command) -> int:
         del command
         return self._ground.request(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+
+    def _no_camera(self, command: Command) -> int:
+        del command
+        ardupilot = self._config.autopilot == "ardupilot"
+        return int(mavlink.MAV_RESULT_FAILED if ardupilot else mavlink.MAV_RESULT_UNSUPPORTED)
 
     def _reboot_command(self, command: Command) -> int:
         del command
