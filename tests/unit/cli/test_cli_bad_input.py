@@ -1,0 +1,172 @@
+"""What goes wrong at the command line: one clear line on stderr, the contract's exit code, nothing half-written."""
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from panoexec.cli.app import run
+
+PLAN = ["plan", "--camera", "dji-x5s-15mm", "--method", "paper"]
+
+
+@pytest.fixture
+def profile(tmp_path: Path) -> Path:
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        'sensor_height_mm = -13.0\nimage_width_px = 5280\nimage_height_px = 3956\nfocal_length_mm = 15\nsource = "x"\n'
+    )
+    return path
+
+
+@pytest.mark.parametrize(
+    ("argv", "says"),
+    [
+        ([], None),
+        (["fly"], "no verb 'fly'"),
+        (["plam"], "did you mean 'plan'"),
+        (["plan"], "--camera"),
+        ([*PLAN, "--speed", "3"], "--speed"),
+        (["plan", "--camera", "dji-x5s"], "did you mean dji-x5s-"),
+        (["cameras", "nikon"], "no camera profile 'nikon'"),
+        (["plan", "--camera", "missing.toml"], "missing.toml: cannot be read"),
+        (["plan", "--camera", "dji-x5s-15mm", "--focal-length", "25"], "fixed lens of 15 mm"),
+        (["plan", "--camera", "dji-x5s-15mm", "--focal-length", "-3"], "more than 0"),
+        (["plan", "--camera", "dji-x5s-15mm", "--orientation", "diagonal"], "landscape"),
+        ([*PLAN, "--overlap", "1.2"], "overlap 1.2 is not possible: give a fraction from 0 to below 1"),
+        ([*PLAN, "--overlap", "15"], "15 % is 0.15"),
+        ([*PLAN, "--overlap", "-0.1"], "overlap -0.1"),
+        ([*PLAN, "--overlap", "nan"], "'nan' is not a number"),
+        ([*PLAN, "--overlap-v", "1"], "vertical overlap 1"),
+        ([*PLAN, "--overlap", "much"], "'much' is not a number"),
+        ([*PLAN, "--elevation", "30", "-90"], "elevation 30 to -90° is upside down"),
+        ([*PLAN, "--elevation", "-90", "91"], "leaves the sphere"),
+        ([*PLAN, "--elevation", "-90"], "--elevation"),
+        ([*PLAN, "--elevation", "0", "0"], "empty"),
+        ([*PLAN, "--azimuth", "90", "0"], "is -90° wide"),
+        ([*PLAN, "--tolerance-yaw", "-1"], "yaw tolerance -1"),
+        ([*PLAN, "--tolerance-roll", "inf"], "'inf' is not a number"),
+        ([*PLAN, "--guarantee", "everything"], "coverage"),
+        ([*PLAN, "--method", "magic"], "certified"),
+        ([*PLAN, "--method", "hdrpano"], "needs --columns N and --rows N"),
+        ([*PLAN, "--method", "hdrpano", "--columns", "0", "--rows", "3"], "--columns"),
+        ([*PLAN, "--gimbal-pitch", "-30", "30"], "the gimbal reaches -30 to 30"),
+        ([*PLAN, "--gimbal-pitch", "30", "-30"], "upside down"),
+        ([*PLAN, "--max-images", "5"], "19 images are needed, 5 are allowed"),
+        ([*PLAN, "--max-duration", "10"], "10 s are allowed"),
+        ([*PLAN, "--export", "kml=x.kml"], "pto"),
+        ([*PLAN, "--export", "pto"], "FORMAT=FILE"),
+        ([*PLAN, "--plot", "plan.docx"], "plan.docx"),
+        ([*PLAN, "--output", "no/such/folder/plan.json"], "no/such/folder"),
+        (["verify", "no.json"], "no.json: cannot be read"),
+        (["verify"], "PLAN.json"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_exit_code_2(
+    argv: list[str],
+    says: str | None,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(argv) == 2
+    out, err = capsys.readouterr()
+    assert list(tmp_path.iterdir()) == []
+    if says is None:
+        return  # the overview, on stdout
+    assert out == ""
+    assert says in err
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
+
+
+def test_all_problems_of_a_profile_come_at_once(profile: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["plan", "--camera", str(profile)]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert str(profile) in err
+    assert "sensor_width_mm is missing" in err
+    assert "sensor_height_mm is -13.0" in err
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ('{"format": "panoexec.plan/1", "shots": [{"pitch', "not valid JSON (truncated?)"),
+        ('{"shots": []}', "shots is []"),
+        ('{"shots": [{"pitch_deg": NaN, "yaw_deg": 0}]}', "shots[0].pitch_deg is nan"),
+        ('{"shots": [{"pitch_deg": 1e9, "yaw_deg": 0}]}', "shots[0].pitch_deg is 1000000000.0"),
+        ("[1, 2]", "JSON object"),
+        ("\x00\x01", "not valid JSON"),
+    ],
+)
+def test_a_damaged_plan_file(content: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "plan.json"
+    path.write_text(content)
+    assert run(["verify", str(path), "--camera", "dji-x5s-15mm"]) == 2
+    err = capsys.readouterr().err
+    assert says in err
+    assert str(path) in err
+    assert err.count("\n") == 1
+
+
+def test_a_foreign_plan_needs_a_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps({"shots": [{"pitch_deg": 0, "yaw_deg": 0}]}))
+    assert run(["verify", str(path)]) == 2
+    assert "names no camera: give --camera" in capsys.readouterr().err
+
+
+def test_an_unwritable_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "locked"
+    folder.mkdir(mode=0o500)
+    if os.geteuid() == 0:
+        folder = Path("/proc")  # where not even root may write
+    assert run([*PLAN, "--output", str(folder / "plan.json")]) == 2
+    assert "cannot be written" in capsys.readouterr().err
+    assert not (folder / "plan.json").exists()
+
+
+def test_a_folder_instead_of_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([*PLAN, "--output", str(tmp_path)]) == 2
+    assert "is a folder" in capsys.readouterr().err
+
+
+def test_a_full_disk_leaves_the_old_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "plan.json"
+    path.write_text("old")
+
+    def no_space(_self: Path, _data: bytes) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", no_space)
+    assert run([*PLAN, "--output", str(path)]) == 2
+    assert "No space left on device" in capsys.readouterr().err
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_interrupt_is_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupted(*_args: object, **_kwargs: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("panoexec.cli.planning_options.plan_paper", interrupted)
+    assert run(PLAN) == 130
+    err = capsys.readouterr().err
+    assert "interrupted" in err
+    assert "Traceback" not in err
+
+
+def test_a_bug_is_no_traceback_either(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def broken(*_args: object, **_kwargs: object) -> None:
+        raise RuntimeError("a bug")
+
+    monkeypatch.setattr("panoexec.cli.planning_options.plan_paper", broken)
+    assert run(PLAN) == 1
+    err = capsys.readouterr().err
+    assert "a bug" in err
+    assert "Traceback" not in err
