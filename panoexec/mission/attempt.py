@@ -29,6 +29,8 @@ from panoexec.pointing import (
 
 TRIGGER_BOUND_S = 10.0
 """An adapter answers or gives up long before this."""
+AFTER_REFUSAL_S = 0.5
+"""How long a camera that refused is left alone, if its interval is not shorter."""
 LAST_SLEEP_S = 0.05
 """The last part of the settle time and of the camera's interval is slept through; before that, samples are watched."""
 
@@ -88,7 +90,7 @@ class Shooter:
     settings: MissionSettings
     reference_yaw_north_deg: float
     open_loop: bool
-    _last_trigger_s: float = field(default=-math.inf, init=False)
+    _ready_s: float = field(default=-math.inf, init=False)
     _pointed: tuple[float, float] | None = field(default=None, init=False)
 
     async def approach(
@@ -141,13 +143,14 @@ class Shooter:
         for number in range(1, self.settings.brackets + 1):
             if number > 1:
                 await self.clock.sleep(self._interval_left_s())
-            self._last_trigger_s = self.clock.monotonic()
             try:
                 capture = await within(self.clock, TRIGGER_BOUND_S, self.camera.trigger(), f"trigger {shot.index}")
             except (DeviceError, TimeoutError) as error:
                 failure = f"photo {number} of {self.settings.brackets}: {error}"
+                self._ready_s = self.clock.monotonic() + min(self.settings.interval_s, AFTER_REFUSAL_S)
                 break
-            self._last_trigger_s = capture.commanded_s
+            # from the answer on, as the camera got the command before that: it counts its interval from then
+            self._ready_s = capture.acknowledged_s + self.settings.interval_s
             captures.append(capture)
             stamps.append(self.clock.time() - (self.clock.monotonic() - capture.commanded_s))
             end_s = await self._exposure_end(capture)
@@ -222,7 +225,7 @@ class Shooter:
         return pose.pitch_deg, pose.yaw_deg
 
     def _interval_left_s(self) -> float:
-        return max(0.0, self._last_trigger_s + self.settings.interval_s - self.clock.monotonic())
+        return max(0.0, self._ready_s - self.clock.monotonic())
 
     async def _follow(self, wait: _Wait, clear: Callable[[], asyncio.Event | None]) -> float:
         """Feed the tracker until the trigger may go out; returns when the last condition for it came true."""
