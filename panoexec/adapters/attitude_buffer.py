@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Final, TypeVar
@@ -146,13 +147,16 @@ def _take_in(inbox: deque[_Stamped], kept: deque[_Stamped]) -> None:
 def _nearest(
     attitudes: deque[VehicleAttitude], time_s: float, stamp: Callable[[VehicleAttitude], float]
 ) -> VehicleAttitude | None:
-    """The attitude at `time_s`: interpolated between its neighbours, or the nearest; None if none is near enough."""
-    later = earlier = None
-    for attitude in reversed(attitudes):
-        if stamp(attitude) <= time_s:
-            earlier = attitude if time_s - stamp(attitude) <= PAIR_S else None
-            break
-        later = attitude
+    """The attitude at `time_s`: interpolated between its neighbours, or the nearest; None if none is near enough.
+
+    By bisection: while a backlog is worked off, the wanted one is far from the newest, and a search from there would
+    make the backlog grow.
+    """
+    after = bisect_right(attitudes, time_s, key=stamp)
+    earlier = attitudes[after - 1] if after > 0 else None
+    later = attitudes[after] if after < len(attitudes) else None
+    if earlier is not None and time_s - stamp(earlier) > PAIR_S:
+        earlier = None
     if later is not None and stamp(later) - time_s > PAIR_S:
         later = None
     if earlier is not None and later is not None:
