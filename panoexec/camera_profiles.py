@@ -142,13 +142,7 @@ def load_profile(
     """
     if name_or_path.endswith(".toml") or os.sep in name_or_path:
         path = Path(name_or_path)
-        return profile_from_mapping(
-            read_toml(path),
-            source=name_or_path,
-            name=path.stem,
-            orientation=orientation,
-            focal_length_mm=focal_length_mm,
-        )
+        return _profile(read_toml(path), name_or_path, path.stem, orientation, focal_length_mm)
     shipped = _shipped()
     path_of_name = shipped.get(name_or_path)
     if path_of_name is None:
@@ -158,13 +152,7 @@ def load_profile(
             f"there is no camera profile {name_or_path!r}: {hint}`panoexec cameras` lists them; "
             "your own profile is named by its file, FILE.toml"
         )
-    return profile_from_mapping(
-        read_toml(path_of_name),
-        source=str(path_of_name),
-        name=name_or_path,
-        orientation=orientation,
-        focal_length_mm=focal_length_mm,
-    )
+    return _profile(read_toml(path_of_name), str(path_of_name), name_or_path, orientation, focal_length_mm)
 
 
 def profile_from_mapping(
@@ -175,7 +163,7 @@ def profile_from_mapping(
     orientation: Orientation | None = None,
     focal_length_mm: float | None = None,
 ) -> CameraProfile:
-    """A profile from the keys of a profile file: an inline table of a request, or a parsed file.
+    """A profile from a table with the keys of a profile file, such as a request's; its `source` may be left out.
 
     Args:
         data: keys and values.
@@ -188,6 +176,17 @@ def profile_from_mapping(
         InputFileError: with every problem found.
         UsageError: the focal length asked for does not fit the lens.
     """
+    return _profile({"source": "given inline"} | dict(data), source, name, orientation, focal_length_mm)
+
+
+def list_profiles() -> list[CameraProfile]:
+    """All shipped profiles, by name."""
+    return [load_profile(name) for name in _shipped()]
+
+
+def _profile(
+    data: Mapping[str, Any], source: str, name: str, orientation: Orientation | None, focal_length_mm: float | None
+) -> CameraProfile:
     try:
         model = _ProfileModel.model_validate(dict(data))
     except ValidationError as error:
@@ -206,11 +205,6 @@ def profile_from_mapping(
         source=model.source,
         zoom_range_mm=(model.zoom_range_mm[0], model.zoom_range_mm[1]) if model.zoom_range_mm else None,
     )
-
-
-def list_profiles() -> list[CameraProfile]:
-    """All shipped profiles, by name."""
-    return [load_profile(name) for name in _shipped()]
 
 
 def _focal_length(model: _ProfileModel, asked_mm: float | None, name: str) -> float:

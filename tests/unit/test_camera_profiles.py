@@ -130,7 +130,6 @@ class TestProblems:
         ("data", "says"),
         [
             (without("sensor_width_mm"), "sensor_width_mm is missing"),
-            (without("source"), "source is missing"),
             (without("focal_length_mm"), "focal_length_mm is missing"),
             (without(sensor_width_mm=-17.3), "sensor_width_mm is -17.3: .*greater than 0"),
             (without(sensor_height_mm=0), "sensor_height_mm is 0"),
@@ -174,7 +173,14 @@ class TestProblems:
             "focal_length_mm is",
         ):
             assert key in text
-        assert len(raised.value.problems) == 7
+        assert len(raised.value.problems) == 6
+
+    def test_a_file_must_name_its_source_a_request_need_not(self, tmp_path: Path) -> None:
+        assert profile_from_mapping(without("source"), source="request").camera.name == "inline"
+        path = tmp_path / "mine.toml"
+        path.write_text("\n".join(f"{key} = {value}" for key, value in GOOD.items() if key != "source"))
+        with pytest.raises(InputFileError, match=r"mine\.toml: source is missing$"):
+            load_profile(str(path))
 
 
 anything = st.recursive(
