@@ -27,7 +27,7 @@ from panoexec.mission.settings import MissionSettings
 from panoexec.mission.shooting import Shooting
 from panoexec.mission.shot_queue import ShotQueue
 from panoexec.mission.verbs import Verbs
-from panoexec.mission.waiting import first_failure, until
+from panoexec.mission.waiting import first_failure, unbroken, until
 from panoexec.planning.model import Certificate, Plan
 from panoexec.states import FINISHED, MissionState
 
@@ -155,7 +155,7 @@ class Mission:
                     await self._fly()
                 finally:
                     recorder.close()
-                    await asyncio.wait({writing})
+                    await unbroken(writing)
         except BaseExceptionGroup as failures:
             raise first_failure(failures) from None
         return self.record
@@ -177,8 +177,10 @@ class Mission:
         finally:
             if not planned_end and control.stop is None:
                 control.ask_stop(Stop("fail", "panoexec met an error of its own; the mission can be resumed"))
-            await self._holding.release()
-            self._ending.conclude()
+            try:
+                await unbroken(asyncio.create_task(self._holding.release(), name="release the gimbal"))
+            finally:
+                self._ending.conclude()
 
     def _start(self) -> None:
         flight, record = self._flight, self._flight.record

@@ -101,9 +101,8 @@ class ControlGuard:
         if situation.in_control or not situation.expects_control or not situation.vehicle.connected:
             return None
         what = "asking for it back" if self.reclaim else "give it back and resume"
-        return Finding(
-            code="gimbal_control", reason=f"another station has taken the gimbal; {what}", automatic=self.reclaim
-        )
+        reason = f"the gimbal is not ours any more (another station has it, or its manager restarted); {what}"
+        return Finding(code="gimbal_control", reason=reason, automatic=self.reclaim)
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,7 +66,7 @@ class Holding:
         """Hold until nothing holds the mission any more (then it is capturing), or it must leave."""
         flight, control = self._flight, self._flight.control
         began = asked = flight.clock.monotonic()
-        announced = ""
+        announced: tuple[str, ...] = ()
         while not control.must_leave:
             control.settled()
             if not control.holds:
@@ -76,14 +76,14 @@ class Holding:
                     flight.pace.restart(flight.clock.monotonic())
                     return
                 continue
-            if reasons(control.holds) != announced:
-                announced = reasons(control.holds)
+            if tuple(control.holds) != announced:
+                announced = tuple(control.holds)
                 self._announce()
             if any(hold.finding.release for hold in control.holds.values()):
                 await self.release()
             now = flight.clock.monotonic()
             if now - began > flight.settings.max_pause_s:
-                control.ask_stop(Stop("fail", f"paused for {now - began:.0f} s: {announced}"))
+                control.ask_stop(Stop("fail", f"paused for {now - began:.0f} s: {reasons(control.holds)}"))
                 return
             patience_s = flight.settings.guards.reclaim_after_s if asked == began else RECLAIM_EVERY_S
             if set(control.holds) == {"gimbal_control"} and now - asked >= patience_s:

@@ -49,6 +49,22 @@ async def until(stop: Coroutine[Any, Any, object], work: Coroutine[Any, Any, T],
     return False, None
 
 
+async def unbroken(task: asyncio.Task[T]) -> T:
+    """The result of a task that must come to its end: a cancellation is obeyed only after it.
+
+    For bounded work alone: giving the gimbal back, the last write of the journal.
+    """
+    cancelled: asyncio.CancelledError | None = None
+    while not task.done():
+        try:
+            await asyncio.wait({task})
+        except asyncio.CancelledError as request:
+            cancelled = request
+    if cancelled is not None:
+        raise cancelled
+    return task.result()
+
+
 def first_failure(group: BaseExceptionGroup[BaseException]) -> BaseException:
     """The first leaf of a group of exceptions."""
     first: BaseException = group

@@ -105,6 +105,10 @@ class World:
     settings: MissionSettings
     record: MissionRecord = field(init=False)
 
+    def record_of_journal(self) -> MissionRecord:
+        """What another process would know of the mission."""
+        return MissionRecord.from_events(mission_id="m1", shots=self.plan.shots, events=self.journal.events)
+
     def mission(self, *, past: Sequence[Event] = (), **more: Any) -> Mission:
         return Mission(
             mission_id="m1",

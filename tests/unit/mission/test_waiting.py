@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from panoexec.errors import DeviceError
-from panoexec.mission.waiting import until, within
+from panoexec.mission.waiting import unbroken, until, within
 from tests.unit.fakes.virtual import VirtualClock, run_virtual
 
 
@@ -69,6 +69,31 @@ def test_a_cancellation_from_outside_passes_through_and_ends_both() -> None:
         with pytest.raises(asyncio.CancelledError):
             await task
         assert sorted(ended) == ["stop", "work"]
+
+    run_virtual(main())
+
+
+def test_what_must_come_to_its_end_does_so_before_a_cancellation_is_obeyed() -> None:
+    async def main() -> None:
+        clock = VirtualClock()
+        ended = []
+
+        async def essential() -> str:
+            await clock.sleep(1.0)
+            ended.append(clock.monotonic())
+            return "done"
+
+        async def caller() -> str:
+            return await unbroken(asyncio.create_task(essential(), name="essential"))
+
+        assert await caller() == "done"
+        task = asyncio.create_task(caller())
+        for _ in range(3):
+            await clock.sleep(0.1)
+            task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        assert len(ended) == 2
 
     run_virtual(main())
 
