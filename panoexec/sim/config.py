@@ -74,7 +74,7 @@ class GimbalConfig:
     stop_margin_deg: float = 3.0
     loop_hz: float = 4.0
     damping: float = 0.7
-    feedforward_frac: float = 0.9
+    feedforward_frac: float = 0.8
     heading_error_deg: float = 0.667
     heading_period_s: float = 90.0
     gust_deg_s2: float = 40.0

@@ -76,9 +76,14 @@ class _Axis:
         self.reference_deg = self.angle_deg = angle_deg
         self._reference_deg_s = self.rate_deg_s = 0.0
 
-    def step(self, target_deg: float, disturbance_deg_s2: float, dt: float, slowness: float) -> None:
-        """Advance by `dt` towards the target; `slowness` scales rate and acceleration."""
-        top = self.config.rate_deg_s * slowness
+    def step(
+        self, target_deg: float, disturbance_deg_s2: float, dt: float, slowness: float, speed_deg_s: float = math.inf
+    ) -> None:
+        """Advance by `dt` towards the target, which may be infinite, at `speed_deg_s` at most.
+
+        `slowness` scales the axis's own rate and acceleration.
+        """
+        top = min(self.config.rate_deg_s * slowness, speed_deg_s)
         acceleration = self.config.acceleration_deg_s2 * slowness
         error = target_deg - self.reference_deg
         quantum = acceleration * dt
@@ -192,19 +197,26 @@ class GimbalPhysics:
         target = self._target
         rates = target.rates
         if rates is None:
-            pitch, roll, yaw = target.pitch_deg, target.roll_deg, self._yaw_goal()
+            self._yaw.step(self._yaw_goal(), gusts[0], dt, self.slowness)
+            self._roll.step(target.roll_deg, gusts[1], dt, self.slowness)
+            self._pitch.step(target.pitch_deg, gusts[2], dt, self.slowness)
         else:
-            pitch = self._pitch.reference_deg + rates.pitch_deg_s * dt
-            roll = self._roll.reference_deg + rates.roll_deg_s * dt
-            follow = 0.0 if target.yaw_lock else vehicle_rate
-            yaw = self._yaw.reference_deg + (rates.yaw_deg_s + follow) * dt
-            pitch, roll = _clip(pitch, self.config.pitch), _clip(roll, self.config.roll)
-        self._yaw.step(yaw, gusts[0], dt, self.slowness)
-        self._roll.step(roll, gusts[1], dt, self.slowness)
-        self._pitch.step(pitch, gusts[2], dt, self.slowness)
+            yaw_rate = rates.yaw_deg_s + (0.0 if target.yaw_lock else vehicle_rate)
+            far = self._yaw_end(yaw_rate)
+            self._yaw.step(far, gusts[0], dt, self.slowness, abs(yaw_rate))
+            far = _end(rates.roll_deg_s, self.config.roll)
+            self._roll.step(far, gusts[1], dt, self.slowness, abs(rates.roll_deg_s))
+            far = _end(rates.pitch_deg_s, self.config.pitch)
+            self._pitch.step(far, gusts[2], dt, self.slowness, abs(rates.pitch_deg_s))
         margin = self.config.stop_margin_deg
         self._roll.stop_at(self.config.roll.min_deg - margin, self.config.roll.max_deg + margin)
         self._pitch.stop_at(self.config.pitch.min_deg - margin, self.config.pitch.max_deg + margin)
+
+    def _yaw_end(self, rate_deg_s: float) -> float:
+        """Where a turn at this rate must end."""
+        if self.config.yaw_endless:
+            return math.copysign(math.inf, rate_deg_s)
+        return self._nose_deg + _end(rate_deg_s, self.config.yaw)
 
     def _yaw_goal(self) -> float:
         """The target's yaw in the axis's own count of turns: the near way round, or the way that the stops leave."""
@@ -287,6 +299,10 @@ class _Slip:
 
 def _wrap(angle_deg: float) -> float:
     return (angle_deg + 180.0) % 360.0 - 180.0
+
+
+def _end(rate_deg_s: float, axis: AxisConfig) -> float:
+    return axis.max_deg if rate_deg_s > 0 else axis.min_deg
 
 
 def _clip(angle_deg: float, axis: AxisConfig) -> float:
