@@ -7,8 +7,8 @@ Given are convex spherical polygons Kᵢ (the robust cores, see `panoexec.planni
 connected part of D has at least one point in some Kᵢ, then D is covered by the union of the Kᵢ.
 
 *Proof.* C = D ∩ ∪Kᵢ is closed in D, a finite union of closed sets. It is open in D too: a point of C is in the
-interior of some Kᵢ, or on a border, and then by (a) in the interior of some Kⱼ; either way C contains a neighbourhood of
-it in D. So C is a union of connected parts of D, and by (b) of all of them. ∎
+interior of some Kᵢ, or on a border, and then by (a) in the interior of some Kⱼ; either way C contains a neighbourhood
+of it in D. So C is a union of connected parts of D, and by (b) of all of them. ∎
 
 So a question about a surface becomes one about arcs. An edge of Kᵢ is the arc of directions of (1 - s)·p + s·q,
 s in [0, 1]; each half-space of Kⱼ is linear in s, so Kⱼ holds one interval of it, found by divisions alone. The domain
@@ -70,8 +70,8 @@ def is_covered(cores: Cores, domain: Domain) -> bool:
     return len(border_gaps(cores, domain)) == 0
 
 
-def border_gaps(cores: Cores, domain: Domain) -> Gaps:
-    """All stretches of borders that violate condition (a) of the module's theorem."""
+def border_gaps(cores: Cores, domain: Domain, margin_rad: float = MARGIN_RAD) -> Gaps:
+    """All stretches of borders in the domain that are not `margin_rad` inside another core: condition (a)."""
     first, second = neighbours(cores)
     begin = np.searchsorted(first, np.arange(len(cores) + 1))
     most = int(np.diff(begin).max(initial=0))
@@ -80,7 +80,7 @@ def border_gaps(cores: Cores, domain: Domain) -> Gaps:
     for start in range(0, len(cores), block):
         stop = min(start + block, len(cores))
         pairs = slice(begin[start], begin[stop])
-        found.append(_gaps_of(cores, domain, range(start, stop), first[pairs], second[pairs]))
+        found.append(_gaps_of(cores, domain, range(start, stop), (first[pairs], second[pairs]), margin_rad))
     return Gaps(
         images=np.concatenate([g.images for g in found]) if found else np.empty(0, dtype=np.intp),
         edges=np.concatenate([g.edges for g in found]) if found else np.empty(0, dtype=np.intp),
@@ -139,14 +139,17 @@ def _pairs_by_cell(centres: FloatArray, size: float) -> tuple[NDArray[np.intp], 
     return first[other], second[other]
 
 
-def _gaps_of(cores: Cores, domain: Domain, some: range, first: NDArray[np.intp], second: NDArray[np.intp]) -> Gaps:
+def _gaps_of(
+    cores: Cores, domain: Domain, some: range, pairs: tuple[NDArray[np.intp], NDArray[np.intp]], margin_rad: float
+) -> Gaps:
     """The gaps of `some` images, given all their ordered pairs with neighbours."""
+    first, second = pairs
     start, count = some.start, len(some)
     own = first - start
     counts = np.bincount(own, minlength=count)
     slot = np.arange(len(own)) - (np.cumsum(counts) - counts)[own]
     v = cores.vertices.shape[1]
-    low, high = _held(cores.vertices[first], cores.normals[second])
+    low, high = _held(cores.vertices[first], cores.normals[second], margin_rad)
     lows = np.full((count, max(int(counts.max(initial=0)), 1), v), 2.0)
     highs = np.full(lows.shape, -1.0)
     lows[own, slot], highs[own, slot] = low, high
@@ -166,17 +169,18 @@ def _gaps_of(cores: Cores, domain: Domain, some: range, first: NDArray[np.intp],
     )
 
 
-def _held(vertices: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _held(vertices: FloatArray, normals: FloatArray, margin_rad: float) -> tuple[FloatArray, FloatArray]:
     """The interval of each edge that lies deep enough in another core.
 
     Args:
         vertices: (p, v, 3) corners of the polygons whose edges are looked at.
         normals: (p, w, 3) of the cores that may hold them.
+        margin_rad: how deep is enough.
 
     Returns:
         Limits (p, v) of the chord parameter; the lower above the upper where nothing is held.
     """
-    at_start = vertices @ np.swapaxes(normals, 1, 2) - MARGIN_RAD
+    at_start = vertices @ np.swapaxes(normals, 1, 2) - margin_rad
     at_end = np.roll(at_start, -1, axis=1)
     # points of the chord are not longer than 1, so being at least the margin above a plane is more than asked for
     span = at_start - at_end
@@ -190,7 +194,7 @@ def _held(vertices: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatA
 def _uncovered(low: FloatArray, high: FloatArray) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
     """The gaps that intervals (m, k) leave of [0, 1] in each row: row indices, lower and upper limits."""
     nothing = low > high
-    low, high = np.where(nothing, 1.0, low), np.where(nothing, -1.0, high)
+    low, high = np.where(nothing, 0.0, low), np.where(nothing, 0.0, high)
     order = np.argsort(low, axis=1)
     ends = np.zeros((len(low), 1))
     low = np.concatenate([np.take_along_axis(low, order, axis=1), ends + 1.0], axis=1)

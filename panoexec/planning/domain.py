@@ -25,7 +25,9 @@ from panoexec.errors import PlanningError
 from panoexec.planning.model import AngleBox, Band
 
 _SAME_DEG = 1e-9
-_SHRINK_RAD = 1e-12
+GROWTH_RAD = 1e-12
+"""The domain is taken larger by this much, against rounding."""
+
 _NOTHING = (2.0, -1.0)
 """An empty interval of [0, 1]."""
 
@@ -233,7 +235,7 @@ def _box_intervals(box: _Box, starts: FloatArray, ends: FloatArray) -> tuple[Flo
     if box.azimuths_deg is not None:
         begin, end = (math.radians(a) for a in box.azimuths_deg)
         for normal in ((-math.sin(begin), math.cos(begin), 0.0), (math.sin(end), -math.cos(end), 0.0)):
-            a, b = (points @ np.array(normal) - _SHRINK_RAD for points in (starts, ends))
+            a, b = (points @ np.array(normal) - GROWTH_RAD for points in (starts, ends))
             below, above = _positive(a, b)
             low, high = np.maximum(low, below), np.minimum(high, above)
     holes = []
@@ -241,7 +243,7 @@ def _box_intervals(box: _Box, starts: FloatArray, ends: FloatArray) -> tuple[Flo
         if limit is None:
             continue
         # being above `limit` is being in a cap about the zenith, or, below the horizon, out of one about the nadir
-        inward = sign * math.radians(limit) + _SHRINK_RAD
+        inward = sign * math.radians(limit) + GROWTH_RAD
         below, above = _cap(starts, ends, -sign * math.copysign(1.0, inward), abs(inward))
         if inward >= 0:
             low, high = np.maximum(low, below), np.minimum(high, above)
