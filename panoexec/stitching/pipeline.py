@@ -145,17 +145,17 @@ class Stitcher:
 
     def _run(self) -> StitchResult:
         self._state = self._read_state()
-        measured = self._measured()
+        measured = self._mission.project
         key = self._fingerprint(measured)
         matched = self._step("match", key, self._work / "matched.pto", lambda: self._match(measured))
         key = _digest(
             key, matched.read_text(encoding="utf-8"), str(self._options.refine_lens), repr(self._mission.tolerance)
         )
         aligned = self._step("align", key, self._work / "aligned.pto", lambda: self._align(measured, matched))
-        project = parse_pto(aligned.read_text(encoding="utf-8"))
+        project = self._on_canvas(parse_pto(aligned.read_text(encoding="utf-8")))
         renderer = self._renderer(project)
         ground = repr((self._options.horizon_deg, self._mission.band, self._mission.masks))
-        key = _digest(key, aligned.read_text(encoding="utf-8"), ground, str(self._options.memory_bytes))
+        key = _digest(key, render_pto(project), ground, str(self._options.memory_bytes))
         blocks = self._work / "blocks"
         if self._state.get("render", {}).get("key") != key:
             # blocks of another alignment are worthless
@@ -191,12 +191,6 @@ class Stitcher:
 
     # --- the steps
 
-    def _measured(self) -> PtoProject:
-        """Photos with measured angles on the canvas asked for."""
-        project = self._mission.project
-        width = self._options.width_px
-        return project if width is None else replace(project, canvas_px=(2 * (width // 2), width // 2))
-
     def _match(self, measured: PtoProject) -> None:
         found = find_points(measured, self._mission.folder, self._work, self._told("match"))
         write_atomically(self._work / "matched.pto", render_pto(found))
@@ -223,6 +217,11 @@ class Stitcher:
         }
         write_atomically(self._work / "alignment.json", json.dumps(facts, indent=1) + "\n")
         write_atomically(self._work / "aligned.pto", render_pto(aligned))
+
+    def _on_canvas(self, project: PtoProject) -> PtoProject:
+        """The project on the canvas asked for; matching and aligning do not depend on it."""
+        width = self._options.width_px
+        return project if width is None else replace(project, canvas_px=(2 * (width // 2), width // 2))
 
     def _renderer(self, project: PtoProject) -> PanoramaRenderer:
         mission = self._mission
@@ -290,7 +289,7 @@ class Stitcher:
         return lambda fraction, text: self._progress(step, fraction, text)
 
     def _fingerprint(self, project: PtoProject) -> str:
-        """Of the photos, their measured angles and the canvas."""
+        """Of the photos and their measured angles."""
         parts = [render_pto(project)]
         for image in project.images:
             status = (self._mission.folder / image.file_name).stat()

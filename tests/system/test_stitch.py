@@ -1,0 +1,214 @@
+"""`panoexec stitch` with Hugin's real tools on missions whose truth is known."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import PIL.Image
+import pytest
+
+from panoexec.angles import FloatArray, angle_between
+from panoexec.cli import app
+from panoexec.optics import Camera
+from panoexec.planning.model import Band
+from panoexec.pto import parse_pto
+from panoexec.sim.scene import procedural_scene
+from panoexec.stitching import rendering
+from panoexec.stitching.canvas import Block
+from panoexec.stitching.tiff import TiledTiff
+from tests.missions import ring_poses, write_mission
+
+pytestmark = pytest.mark.skipif(
+    shutil.which("nona") is None or shutil.which("cpfind") is None,
+    reason="Hugin's tools are not installed: apt-get install hugin-tools",
+)
+
+CAMERA = Camera(
+    name="test",
+    sensor_width_mm=16.0,
+    sensor_height_mm=12.0,
+    image_width_px=4000,
+    image_height_px=3000,
+    focal_length_mm=9.0,
+)
+"""83° x 67°: few images for a fast test."""
+BAND = Band(elevation_min_deg=-90, elevation_max_deg=-4)
+POSES = ring_poses([(-90.0, 1), (-35.0, 6)])
+WIDTH = 420
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FloatArray]:
+    folder = tmp_path_factory.mktemp("missions") / "20260921T141300.000Z"
+    return folder, write_mission(folder, CAMERA, POSES, procedural_scene(1, 2048), width_px=WIDTH, band=BAND, seed=3)
+
+
+@pytest.fixture(scope="module")
+def stitched(flown: tuple[Path, FloatArray]) -> tuple[int, Path]:
+    return app.run(["stitch", str(flown[0])]), flown[0] / "stitch"
+
+
+@pytest.fixture
+def copy(flown: tuple[Path, FloatArray], stitched: tuple[int, Path], tmp_path: Path) -> Path:
+    """A mission that has been stitched, to be spoiled."""
+    assert stitched[0] == 0
+    return Path(shutil.copytree(flown[0], tmp_path / "m", copy_function=shutil.copy2))
+
+
+def test_a_complete_mission_is_stitched_complete(stitched: tuple[int, Path]) -> None:
+    code, work = stitched
+    document = json.loads((work / "stitch.json").read_text())
+    assert code == 0
+    assert document["completeness"]["fraction"] == 1.0
+    assert document["completeness"]["hole_px"] == 0
+    assert document["images"] == len(POSES)
+    assert document["untied"] == []
+    assert document["rms_px"] < 1.0
+    assert set(document["seconds"]) == {"match", "align", "render", "finish"}
+    left = {path.name for path in work.iterdir()}
+    assert {"panorama.tif", "panorama.jpg", "aligned.pto", "stitch.json"} <= left
+    assert not left & {"blocks", "remapped", "panorama.tif.part"}
+
+
+def test_the_images_are_where_they_were_taken(flown: tuple[Path, FloatArray], stitched: tuple[int, Path]) -> None:
+    """Pointing errors of 0.667° are found to a fraction of a pixel (0.2°), up to the turn of the whole."""
+    truth, found = flown[1], parse_pto((stitched[1] / "aligned.pto").read_text()).rotations()
+    u, _, vt = np.linalg.svd(np.einsum("nij,nkj->ik", truth, found))
+    whole = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    left = angle_between((whole @ found)[:, :, 0], truth[:, :, 0])
+    assert left.max() < 0.06
+    # and the whole is off by no more than the mean of the errors
+    assert np.degrees(np.arccos((np.trace(whole) - 1) / 2)) < 0.667
+
+
+def test_the_panorama_is_the_scene(flown: tuple[Path, FloatArray], stitched: tuple[int, Path]) -> None:
+    with PIL.Image.open(stitched[1] / "panorama.tif") as picture:
+        panorama = np.asarray(picture).astype(float)
+    height, width = panorama.shape[:2]
+    assert width == 2 * height
+    scene = procedural_scene(1, 2 * (width // 2)).pixels.astype(float)
+    ground = slice(height // 2 + 20, height - 4)
+    assert (panorama[ground, :, 3] == 255).all()
+    # the yaw of the whole is known to the mean of the errors: a few pixels
+    shifts = range(-4, 5)
+    difference = [np.abs(np.roll(panorama[ground, :, :3], s, axis=1) - scene[ground]).mean() for s in shifts]
+    assert min(difference) < 20
+    turned = np.abs(np.roll(panorama[ground, :, :3], width // 4, axis=1) - scene[ground]).mean()
+    assert turned > 2 * min(difference)
+
+
+def test_the_preview_is_a_sphere_for_viewers(stitched: tuple[int, Path]) -> None:
+    content = (stitched[1] / "panorama.jpg").read_bytes()
+    assert b'GPano:ProjectionType="equirectangular"' in content
+    assert b'GPano:PoseHeadingDegrees="30.000"' in content
+    with PIL.Image.open(stitched[1] / "panorama.jpg") as picture:
+        assert f'GPano:FullPanoWidthPixels="{picture.size[0]}"'.encode() in content
+    assert b"GPano" in (stitched[1] / "panorama.tif").read_bytes()
+
+
+def test_a_second_run_has_nothing_to_do(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = (copy / "stitch" / "panorama.tif").stat().st_mtime_ns
+    assert app.run(["stitch", str(copy), "--json"]) == 0
+    shown = capsys.readouterr()
+    document = json.loads(shown.out)
+    assert document["format"] == "panoexec.stitch/1"
+    assert document["completeness"]["fraction"] == 1.0
+    assert (copy / "stitch" / "panorama.tif").stat().st_mtime_ns == before
+    assert shown.err.count("done before") == 4
+
+
+def test_an_interrupted_rendering_goes_on(
+    copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The disk is full in the middle: exit code 3 and one line; then the blocks that were done are kept."""
+    calls: list[int] = []
+    real = rendering.PanoramaRenderer._render_block
+
+    def render_block(self: rendering.PanoramaRenderer, block: Block, tiff: TiledTiff) -> None:
+        calls.append(len(calls))
+        if len(calls) == 3:
+            raise OSError(28, "No space left on device")
+        real(self, block, tiff)
+
+    monkeypatch.setattr(rendering.PanoramaRenderer, "_render_block", render_block)
+    # small blocks on another canvas: points and alignment stay, rendering starts anew
+    arguments = ["stitch", str(copy), "--width", "1400", "--memory", "128"]
+    monkeypatch.setattr("panoexec.stitching.rendering.block_side", lambda *_: 512)
+    assert app.run(arguments) == 3
+    message = capsys.readouterr().err
+    assert "No space left on device" in message
+    assert "completed steps are kept" in message
+    assert message.count("done before") == 2
+    assert app.run(arguments) == 0
+    # 3 x 2 blocks: two were done, the third is tried again
+    assert len(calls) == 3 + 4
+    with PIL.Image.open(copy / "stitch" / "panorama.tif") as picture:
+        alpha = np.asarray(picture)[..., 3]
+    assert picture.size == (1400, 700)
+    assert (alpha[370:] == 255).all()
+    assert json.loads((copy / "stitch" / "stitch.json").read_text())["completeness"]["hole_px"] == 0
+
+
+def test_missing_and_damaged_photos_are_named_and_their_holes_found(
+    copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (copy / "images" / "IMG_0005.jpg").unlink()
+    path = copy / "images" / "IMG_0003.jpg"
+    path.write_bytes(path.read_bytes()[:-2000])
+    assert app.run(["stitch", str(copy), "--width", "1024"]) == 1
+    shown = capsys.readouterr()
+    assert "left out: IMG_0005.jpg is missing" in shown.err
+    assert "left out: images/IMG_0003.jpg is truncated" in shown.err
+    document = json.loads((copy / "stitch" / "stitch.json").read_text())
+    assert document["completeness"]["fraction"] < 0.95
+    assert "100.00 %" not in shown.out
+    holes = document["completeness"]["holes"]
+    # image 3 looked at yaw -60, image 5 at +60
+    assert sorted(round(h["azimuth_deg"] / 60) for h in holes[:2]) == [-1, 1]
+    assert all(h["elevation_deg"] < -10 for h in holes[:2])
+
+
+def test_a_mission_without_usable_photos(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.rmtree(copy / "images")
+    assert app.run(["stitch", str(copy)]) == 1
+    message = capsys.readouterr().err
+    assert "none of the 7 accepted photos can be used" in message
+    assert "copy them from the camera" in message
+    document = json.loads((copy / "manifest.json").read_text())
+    for shot in document["shots"]:
+        shot["accepted_attempt"] = None
+    (copy / "manifest.json").write_text(json.dumps(document))
+    assert app.run(["stitch", str(copy)]) == 1
+    assert "no accepted photo; there is nothing to stitch" in capsys.readouterr().err
+
+
+def test_tools_that_are_not_installed_or_fail(
+    copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tools = tmp_path / "bin"
+    tools.mkdir()
+    monkeypatch.setenv("PATH", str(tools))
+    assert app.run(["stitch", str(copy), "--restart"]) == 3
+    assert "cpfind, nona are not installed" in capsys.readouterr().err
+    for name in ("cpfind", "nona"):
+        (tools / name).write_text("#!/bin/sh\necho went wrong\nexit 7\n")
+        (tools / name).chmod(0o755)
+    assert app.run(["stitch", str(copy), "--restart"]) == 3
+    assert "cpfind ended with code 7: went wrong" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["/nowhere/at/all"], "no such directory"),
+        ([".", "--width", "12"], "256 to 1000000 px"),
+        ([".", "--horizon", "steep"], "degrees above -90"),
+        ([".", "--memory", "1"], "128 to 1000000 MiB"),
+    ],
+)
+def test_wrong_usage(arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert app.run(["stitch", *arguments]) == 2
+    assert text in capsys.readouterr().err
