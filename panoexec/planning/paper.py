@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -93,6 +94,10 @@ def pan_step_deg(camera: Camera, pitch_deg: float, overlap_h: float) -> float:
     return _largest_angle(overlap, max(overlap_h, _LEAST_OVERLAP), 180.0, 181)
 
 
+_pan_step_deg = lru_cache(maxsize=1024)(pan_step_deg)
+"""The same rows are asked about again and again while a layout is being closed."""
+
+
 def _largest_angle(
     overlap: Callable[[FloatArray], FloatArray], threshold: float, up_to_deg: float, points: int
 ) -> float:
@@ -143,7 +148,7 @@ class _Layout:
         if abs(pitch_deg) == 90.0:
             return self._row(pitch_deg, 1)
         band = self.constraints.band
-        step = pan_step_deg(self.camera, pitch_deg, self.constraints.overlap_h)
+        step = _pan_step_deg(self.camera, pitch_deg, self.constraints.overlap_h)
         least = 2 if band.is_full_circle else 1
         return self._row(pitch_deg, max(least, math.ceil(band.azimuth_span_deg / step - 1e-9)))
 
