@@ -31,7 +31,7 @@ from panoexec.planning.holes import Uncovered, uncovered
 from panoexec.planning.model import NO_TOLERANCE, Certificate, Constraints, Plan
 from panoexec.planning.overlap import pairwise_overlap, union_overlap
 from panoexec.planning.robust import robust_cores
-from panoexec.planning.worst_overlap import ErrorCorners, worst_pair_overlaps, worst_union_overlaps
+from panoexec.planning.worst_overlap import ErrorCorners, surely_overlap, worst_pair_overlaps, worst_union_overlaps
 
 THRESHOLD_SLACK = 1e-9
 """An overlap may miss its threshold by this much, which is rounding."""
@@ -120,6 +120,7 @@ class _Overlaps:
         self._constraints = constraints
         self._poses = poses
         self._domain = domain
+        self._angles = yaw_pitch_roll(poses)
         self._rows = Rows.of(rows, poses, constraints.band)
         self._corners = ErrorCorners.of(camera, poses, constraints.tolerance)
         self._first, self._second = neighbours(robust_cores(camera, poses, NO_TOLERANCE))
@@ -165,20 +166,32 @@ class _Overlaps:
         planned = pairwise_overlap(self._camera, self._poses[both[0]], self._poses[both[1]]).reshape(2, -1).min(axis=0)
         near = planned >= MUTUAL_OVERLAP - THRESHOLD_SLACK
         a, b = a[near], b[near]
-        if not self._constraints.tolerance.is_zero:
-            one_way = worst_pair_overlaps(self._corners, np.concatenate([a, b]), np.concatenate([b, a]))
-            sure = one_way.reshape(2, -1).min(axis=0) >= MUTUAL_OVERLAP - THRESHOLD_SLACK
-            a, b = a[sure], b[sure]
-        return connection(len(self._poses), a, b)
+        if self._constraints.tolerance.is_zero:
+            return connection(len(self._poses), a, b)
+        ways = np.concatenate([a, b]), np.concatenate([b, a])
+        sure = np.asarray(surely_overlap(self._corners, *ways, MUTUAL_OVERLAP).reshape(2, -1).all(axis=0))
+        quick = connection(len(self._poses), a[sure], b[sure])
+        if quick.two_edge_connected:  # more edges would not change that
+            return quick
+        unsure = np.nonzero(~sure)[0]
+        ways = np.concatenate([a[unsure], b[unsure]]), np.concatenate([b[unsure], a[unsure]])
+        worst = worst_pair_overlaps(self._corners, *ways).reshape(2, -1).min(axis=0)
+        sure[unsure] = worst >= MUTUAL_OVERLAP - THRESHOLD_SLACK
+        return connection(len(self._poses), a[sure], b[sure])
 
     def _pair_overlaps(self, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Planned and worst overlaps; pairs of the same attitudes and yaw between them have the same."""
+        yaw, pitch, roll = self._angles
+        marks = np.stack([pitch[a], roll[a], pitch[b], roll[b], (yaw[b] - yaw[a]) % 360.0], axis=1)
+        _, first, which = np.unique(np.round(marks, 9), axis=0, return_index=True, return_inverse=True)
+        a, b, which = a[first], b[first], which.reshape(-1)
         planned = pairwise_overlap(self._camera, self._poses[a], self._poses[b])
         if self._constraints.tolerance.is_zero:
-            return planned, planned
-        return planned, np.minimum(worst_pair_overlaps(self._corners, a, b), planned)
+            return planned[which], planned[which]
+        return planned[which], np.minimum(worst_pair_overlaps(self._corners, a, b), planned)[which]
 
     def _apart(self, first: IntArray, second: IntArray) -> NDArray[np.bool_]:
-        yaw, pitch, _ = yaw_pitch_roll(self._poses)
+        yaw, pitch, _ = self._angles
         return np.array(
             [
                 apart_by_mask(self._domain, (pitch[i] + pitch[j]) / 2, *self._between(yaw[i], yaw[j], pitch[i]))

@@ -89,6 +89,27 @@ def worst_pair_overlaps(corners: ErrorCorners, first: NDArray[np.intp], second: 
     return np.clip(out, 0.0, 1.0)
 
 
+def surely_overlap(
+    corners: ErrorCorners, first: NDArray[np.intp], second: NDArray[np.intp], least: float
+) -> NDArray[np.bool_]:
+    """Which first images (p,) share more than a fraction with the second, by a bound that is rough but quick.
+
+    Each edge of B moves by no more than `ErrorCorners.first_order`, so it takes from what B sees of A at most a strip
+    of that width along the whole part.
+    """
+    planes = half_planes(corners.rotations[first], corners.rotations[second], corners.camera)
+    seen = _clipped(corners.camera, planes)
+    length = np.maximum(np.hypot(planes[..., 1], planes[..., 2]), 1e-12)
+    reach = math.sqrt(1 + corners.camera.half_width**2 + corners.camera.half_height**2)
+    strip = corners.first_order * reach / length
+    y, z = seen[:, None, :, 0], seen[:, None, :, 1]
+    along = (planes[..., 2:] * y - planes[..., 1:2] * z) / length[..., None]
+    inside = (planes[..., :1] + planes[..., 1:2] * y + planes[..., 2:] * z) / length[..., None]
+    lost = np.where(inside.min(axis=2) < strip, strip * (along.max(axis=2) - along.min(axis=2)), 0.0).sum(axis=1)
+    whole = 4 * corners.camera.half_width * corners.camera.half_height
+    return np.asarray(polygon_area(seen) - lost >= least * whole)  # false for an empty part, where `lost` is NaN
+
+
 def worst_union_overlaps(
     corners: ErrorCorners, images: NDArray[np.intp], partners: NDArray[np.intp], present: NDArray[np.bool_]
 ) -> FloatArray:
@@ -167,18 +188,22 @@ def _cuts(parts: FloatArray, baselines: FloatArray, moved: FloatArray) -> FloatA
     v = np.einsum("qvi,qi->qv", parts, across)
     lowest = v.min(axis=1)
     gamma = np.einsum("qabi,qi->qab", moved[..., 1:], across)
-    alpha = moved[..., 0] + lowest[:, None, None] * gamma
-    beta = np.einsum("qabi,qi->qab", moved[..., 1:], along)
     least = gamma.min(axis=(1, 2), initial=np.inf)
     usable = (least > 1e-6) & (length > 1e-6)
-    scale = 1 / np.where(usable, least, 1.0)[:, None, None]
-    depth = (
-        (-alpha * scale)[..., None]
-        + (-beta * scale)[..., None] * u[:, None, None]
-        - (v - lowest[:, None])[:, None, None]
+    scale = -1 / np.where(usable, least, 1.0)[:, None, None]
+    alpha = (moved[..., 0] + lowest[:, None, None] * gamma) * scale
+    beta = np.einsum("qabi,qi->qab", moved[..., 1:], along) * scale
+    # the lower border of a part runs with u, the upper one against it
+    following = np.arange(1 - parts.shape[1], 1)
+    width = u[:, following] - u
+    q, side = np.nonzero(width > 0)
+    start, end = (
+        alpha[q] + beta[q] * u[q, k][:, None, None] - (v[q, k] - lowest[q])[:, None, None]
+        for k in (side, (side + 1) % parts.shape[1])
     )
-    width = np.maximum(np.roll(u, -1, axis=1) - u, 0.0)  # the lower border runs with u, the upper one against it
-    cut = (_positive_mean(depth, np.roll(depth, -1, axis=3)) * width[:, None, None]).sum(axis=3)
+    pieces = _positive_mean(start, end) * width[q, side][:, None, None]
+    cut = np.zeros(gamma.shape)
+    np.add.at(cut, q, pieces)
     return np.where(usable[:, None, None], cut, np.inf)
 
 
