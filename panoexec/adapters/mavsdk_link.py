@@ -171,7 +171,13 @@ class MavsdkLink:
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> bool | None:
         """Close the connection; see `VendorSession.close` for how long that takes."""
-        return await self._stack.__aexit__(exc_type, exc, traceback)
+        try:
+            return await self._stack.__aexit__(exc_type, exc, traceback)
+        except BaseExceptionGroup as failures:
+            ours = [failure for failure in failures.exceptions if failure is not exc]
+            if ours:
+                raise ours[0] from exc
+            return None  # what the block raised passes as it is, not wrapped in a group
 
     async def wait_autopilot(self, timeout_s: float) -> None:
         """Return when the autopilot was found and beats.

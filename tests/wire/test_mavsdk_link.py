@@ -230,6 +230,31 @@ async def test_closes_in_no_time_when_idle(autopilot: ScriptedPeer) -> None:
         await link.wait_autopilot(10)
 
 
+async def test_what_the_block_raises_passes_as_it_is(autopilot: ScriptedPeer) -> None:
+    error = DeviceError("of the block")
+    with pytest.raises(DeviceError) as caught:
+        async with MavsdkLink(autopilot.url, clock=CLOCK):
+            raise error
+    assert caught.value is error
+
+
+async def test_a_cancelled_block_is_cancelled_and_the_link_closed(autopilot: ScriptedPeer) -> None:
+    entered = asyncio.Event()
+
+    async def block() -> None:
+        async with MavsdkLink(autopilot.url, clock=CLOCK):
+            entered.set()
+            await asyncio.Event().wait()
+
+    task = asyncio.create_task(block())
+    await entered.wait()
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    async with MavsdkLink(autopilot.url, clock=CLOCK) as link:
+        await link.wait_autopilot(10)
+
+
 async def test_closing_waits_for_an_unanswered_command_but_not_for_ever(autopilot: ScriptedPeer) -> None:
     autopilot.answers[31_002] = lambda _: None
     async with MavsdkLink(autopilot.url, clock=CLOCK) as link:
