@@ -86,7 +86,7 @@ class CameraComponent:
             mavlink.MAV_CMD_IMAGE_START_CAPTURE: self._start_capture,
             mavlink.MAV_CMD_IMAGE_STOP_CAPTURE: self._stop_capture,
             mavlink.MAV_CMD_SET_CAMERA_MODE: self._set_mode,
-            mavlink.MAV_CMD_REQUEST_CAMERA_IMAGE_CAPTURE: self._again,
+            mavlink.MAV_CMD_REQUEST_CAMERA_IMAGE_CAPTURE: lambda command: self._again(int(command.params[0])),
         }
         self.fix = Fix()
         self.model = CameraModel(
@@ -146,6 +146,9 @@ class CameraComponent:
 
     def _command(self, command: Command) -> int | None:
         """Do what a command says; MAV_RESULT, or None for no answer at all."""
+        captured = mavlink.MAVLINK_MSG_ID_CAMERA_IMAGE_CAPTURED
+        if command.id == mavlink.MAV_CMD_REQUEST_MESSAGE and command.params[0] == captured:
+            return self._again(int(command.params[1]))
         common = self._component.common_command(command, unknown_message=mavlink.MAV_RESULT_UNSUPPORTED)
         if common is not None:
             return common
@@ -163,9 +166,9 @@ class CameraComponent:
         image = int(command.params[1]) == mavlink.CAMERA_MODE_IMAGE
         return int(mavlink.MAV_RESULT_ACCEPTED if image else mavlink.MAV_RESULT_UNSUPPORTED)
 
-    def _again(self, command: Command) -> int:
+    def _again(self, index: int) -> int:
         """Send the message of an earlier photo once more."""
-        message = self._captured.get(int(command.params[0]))
+        message = self._captured.get(index)
         if message is None:
             return int(mavlink.MAV_RESULT_DENIED)
         self._component.send(message)

@@ -141,14 +141,16 @@ class Repeater:
         self._timeline = timeline
         self._action = action
         self._generation = 0
-        self._next_s = 0.0
+        self._first_s = 0.0
+        self._runs = 0
         self.interval_s = 0.0
 
     def start(self, interval_s: float, *, first_after_s: float | None = None) -> None:
         """Run at this interval from now on; a former interval ends."""
         self.stop()
         self.interval_s = interval_s
-        self._next_s = self._timeline.now_s + (interval_s if first_after_s is None else first_after_s)
+        self._first_s = self._timeline.now_s + (interval_s if first_after_s is None else first_after_s)
+        self._runs = 0
         self._schedule()
 
     def stop(self) -> None:
@@ -162,11 +164,11 @@ class Repeater:
         def due() -> None:
             if generation != self._generation:
                 return
-            self._next_s += self.interval_s
+            self._runs += 1
             self._schedule()
             self._action()
 
-        self._timeline.at(self._next_s, due)
+        self._timeline.at(self._first_s + self._runs * self.interval_s, due)
 
 
 class TruthLog:

@@ -1,4 +1,4 @@
-"""A conversation with an autopilot and its MAVLink gimbal, held alike with a real one (to record it) and the embedded one.
+"""A conversation with an autopilot and its gimbal, held alike with a real one, to record it, and with the embedded one.
 
 Record: `python -m tests.wire.conversation PORT FILE`, with ArduCopter SITL sending to that UDP port, standing on the
 ground, `MNT1_TYPE 6`, `MNT1_DEFLT_MODE 2`, `CAM1_TYPE 0`, `CAM2_TYPE 0`, and `panoexec simulate --attach` joined to it
