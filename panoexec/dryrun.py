@@ -31,7 +31,7 @@ from panoexec.mission_dir import existing_mission_directory
 from panoexec.mission_session import Devices, MissionSession, StoredMission, create_mission, open_mission
 from panoexec.planning.duration import slew_time_s
 from panoexec.planning.model import Certificate, Plan, Shot
-from panoexec.pointing import pose_of, read_pose
+from panoexec.pose_reading import pose_of, read_pose
 from panoexec.sim import settings as sim_settings
 from panoexec.sim.config import SimConfig
 from panoexec.sitl.autopilot import sitl_binary

@@ -27,7 +27,7 @@ from panoexec.files import write_atomically
 from panoexec.mission.record import AttemptRecord, MissionRecord, ShotRecord
 from panoexec.planfile import camera_to_data, certificate_to_data
 from panoexec.planning.model import Certificate, Plan
-from panoexec.pointing import pose_of, to_north
+from panoexec.pose_reading import pose_of, to_north
 
 FORMAT = "panoexec.manifest/1"
 CONVENTIONS = {

@@ -1,12 +1,10 @@
-"""The pointing gate: from what a gimbal reports to a verdict on its pose. Pure logic over attitude samples.
+"""The pointing gate: a verdict on poses. Pure logic over readings of the gimbal's attitude (`panoexec.pose_reading`).
 
-A sample says where the camera looks relative to the earth, to the vehicle's heading or to its airframe; `read_pose`
-composes it with the vehicle's attitude of the same moment and turns it into the plan's frame (yaw 0 = the plan's
-reference). `SettleTracker` says when a pose has been inside tolerance and still for long enough; `judge_window` checks
-every sample of an exposure afterwards. What a pose error is, is defined in one place, `panoexec.planning.pose_error`.
+`SettleTracker` says when a pose has been inside tolerance and still for long enough; `judge_window` checks every
+reading of an exposure afterwards. What a pose error is, is defined in one place, `panoexec.planning.pose_error`.
 
-Missing, late, not finite, or flagged by the device: each is out of tolerance, with a reason. A sample counts from the
-moment it arrived, which is later than when it was measured by the delay of the link.
+Missing, late, or unusable: each is out of tolerance, with a reason. A reading counts from the moment it arrived, which
+is later than when it was measured by the delay of the link.
 """
 
 from __future__ import annotations
@@ -14,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,25 +20,11 @@ import numpy as np
 from panoexec.angles import (
     FloatArray,
     angle_between,
-    quaternion_from_rotation,
-    rotation_from_quaternion,
-    wrap_180,
-    yaw_pitch_roll,
 )
-from panoexec.devices import AttitudeFeed, AttitudeSample, Quaternion, VehicleAttitude, YawFrame
 from panoexec.events import AxisErrors, MeasuredPose
 from panoexec.planning.model import Tolerance
 from panoexec.planning.pose_error import PoseError, pose_error
-
-GIMBAL_FAILURES: dict[int, str] = {
-    8: "encoder error",
-    16: "power error",
-    32: "motor error",
-    64: "software error",
-    128: "communication error",
-    256: "calibration running",
-}
-"""GIMBAL_DEVICE_ERROR_FLAGS that make a pose untrustworthy; the others (at a limit, no manager) do not."""
+from panoexec.pose_reading import Reading, mean_pose
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,110 +40,6 @@ class Target:
     pitch_deg: float
     yaw_deg: float
     tolerance: Tolerance
-
-
-@dataclass(frozen=True, slots=True)
-class Reading:
-    """A sample made comparable: a rotation in the plan's frame, or the reason why there is none.
-
-    Attributes:
-        time_s: when it arrived.
-        rotation: camera to plan frame (3, 3), None with a problem.
-        rate_deg_s: angular speed, NaN if not told.
-        problem: why it cannot be used, "" if it can.
-    """
-
-    time_s: float
-    rotation: FloatArray | None
-    rate_deg_s: float
-    problem: str = ""
-
-
-def heading_deg(vehicle: VehicleAttitude) -> float:
-    """Heading of the airframe's nose, clockwise from north: the yaw of the 3-2-1 angles, as autopilots state it."""
-    w, x, y, z = vehicle.q_wxyz
-    return math.degrees(math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
-
-
-def read_pose(sample: AttitudeSample, vehicle: VehicleAttitude | None, reference_yaw_north_deg: float) -> Reading:
-    """The camera's attitude in the plan's frame.
-
-    Args:
-        sample: as the gimbal reports it.
-        vehicle: the airframe's attitude at that moment, needed unless the sample is earth-fixed.
-        reference_yaw_north_deg: direction of the plan's yaw 0, clockwise from true north.
-
-    Returns:
-        A reading; with a problem when the sample is not finite, flagged, or cannot be composed.
-    """
-    problem = _device_problem(sample) or ("" if _is_attitude(sample.q_wxyz) else _NO_NUMBER.format("gimbal"))
-    turn_deg = -reference_yaw_north_deg
-    q = sample.q_wxyz
-    if not problem and sample.yaw_frame is not YawFrame.EARTH:
-        if vehicle is None:
-            problem = "no attitude of the vehicle to compose the gimbal's with"
-        elif not _is_attitude(vehicle.q_wxyz):
-            problem = _NO_NUMBER.format("vehicle")
-        elif sample.yaw_frame is YawFrame.BODY:
-            q = _product(vehicle.q_wxyz, q)
-        else:
-            turn_deg += heading_deg(vehicle)
-    if problem:
-        return Reading(sample.received_s, None, sample.rate_deg_s, problem)
-    half = math.radians(turn_deg) / 2
-    return Reading(
-        sample.received_s, _matrix(_product((math.cos(half), 0.0, 0.0, math.sin(half)), q)), sample.rate_deg_s
-    )
-
-
-_NO_NUMBER = "the {} reports an attitude that is not a number"
-
-
-def _is_attitude(q: Quaternion) -> bool:
-    """Whether a quaternion is finite and not zero."""
-    norm = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
-    return 1e-18 < norm < math.inf
-
-
-# With plain floats, as this is done for every sample at 50 Hz: a tenth of the time of the array functions, which the
-# tests hold it to.
-
-
-def _product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """The rotation `b` followed by `a` (Hamilton)."""
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    return (
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    )
-
-
-def _matrix(q: Quaternion) -> FloatArray:
-    """The rotation matrix of a quaternion of any length but 0."""
-    w, x, y, z = q
-    s = 2 / (w * w + x * x + y * y + z * z)
-    return np.array(
-        [
-            [1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],
-            [s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)],
-            [s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)],
-        ]
-    )
-
-
-def readings_since(feed: AttitudeFeed, since_s: float, reference_yaw_north_deg: float) -> list[Reading]:
-    """Readings of all samples that arrived after `since_s`, oldest first."""
-    return [
-        read_pose(sample, feed.vehicle_attitude_at(sample), reference_yaw_north_deg) for sample in feed.since(since_s)
-    ]
-
-
-def _device_problem(sample: AttitudeSample) -> str:
-    names = [name for flag, name in GIMBAL_FAILURES.items() if sample.failure_flags & flag]
-    return f"the gimbal reports: {', '.join(names)}" if names else ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -355,20 +235,6 @@ def worst_errors(errors: PoseError) -> AxisErrors:
     )
 
 
-def mean_pose(rotations: Sequence[FloatArray]) -> MeasuredPose:
-    """The mean of attitudes that lie close together (sum of quaternions of one sign, normalised)."""
-    q = quaternion_from_rotation(np.stack(rotations))
-    q = np.where((q @ q[0])[:, None] < 0, -q, q).sum(axis=0)
-    return pose_of(rotation_from_quaternion(q))
-
-
-def pose_of(matrix: FloatArray) -> MeasuredPose:
-    """A rotation as quaternion and gimbal angles."""
-    yaw, pitch, roll = yaw_pitch_roll(matrix)
-    w, x, y, z = (float(v) for v in quaternion_from_rotation(matrix))
-    return MeasuredPose(q_wxyz=(w, x, y, z), roll_deg=float(roll), pitch_deg=float(pitch), yaw_deg=float(yaw))
-
-
 def describe_error(errors: PoseError, tolerance: Tolerance) -> str:
     """The axes that are out of tolerance, worst first: `yaw off by +1.30° (at most 0.667°)`."""
     worst = worst_errors(errors)
@@ -380,8 +246,3 @@ def describe_error(errors: PoseError, tolerance: Tolerance) -> str:
     out = [axis for axis in axes if not abs(axis[1]) <= axis[2]]
     out.sort(key=lambda axis: abs(axis[1]) - axis[2], reverse=True)
     return ", ".join(f"{name} off by {value:+.3g}° (at most {limit:g}°)" for name, value, limit in out)
-
-
-def to_north(yaw_deg: float, reference_yaw_north_deg: float) -> float:
-    """A yaw of the plan's frame as yaw from true north, [-180, 180)."""
-    return float(wrap_180(yaw_deg + reference_yaw_north_deg))

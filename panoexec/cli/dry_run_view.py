@@ -13,7 +13,7 @@ from panoexec.dryrun import DryRunSummary
 from panoexec.mission.executor import Mission
 from panoexec.planning.model import Plan
 from panoexec.planning.pose_error import pose_error
-from panoexec.pointing import read_pose
+from panoexec.pose_reading import read_pose
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID

@@ -15,17 +15,8 @@ from panoexec.mission.settings import MissionSettings
 from panoexec.mission.waiting import until, within
 from panoexec.planning.duration import slew_time_s
 from panoexec.planning.model import Shot
-from panoexec.pointing import (
-    SettleLimits,
-    SettleTracker,
-    Target,
-    WindowVerdict,
-    judge_window,
-    pose_of,
-    read_pose,
-    readings_since,
-    to_north,
-)
+from panoexec.pointing import SettleLimits, SettleTracker, Target, WindowVerdict, judge_window
+from panoexec.pose_reading import PoseReader, pose_of, read_pose, to_north
 
 TRIGGER_BOUND_S = 10.0
 """An adapter answers or gives up long before this."""
@@ -90,8 +81,13 @@ class Shooter:
     settings: MissionSettings
     reference_yaw_north_deg: float
     open_loop: bool
+    poses: PoseReader = field(init=False)
     _ready_s: float = field(default=-math.inf, init=False)
     _pointed: tuple[float, float] | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        """Begin to read the attitude stream."""
+        self.poses = PoseReader(feed=self.gimbal.feed, reference_yaw_north_deg=self.reference_yaw_north_deg)
 
     async def approach(
         self, shot: Shot, *, patience_s: float, clear: Callable[[], asyncio.Event | None]
@@ -189,7 +185,7 @@ class Shooter:
         if self.open_loop:
             return WindowVerdict(ok=True, reason="", code="", samples=0, measured=None, errors=None)
         gap = self.settings.max_gap_s
-        readings = readings_since(self.gimbal.feed, start_s - 2 * gap, self.reference_yaw_north_deg)
+        readings = self.poses.since(start_s - 2 * gap)
         return judge_window(readings, target=self._target(shot), start_s=start_s, end_s=end_s, max_gap_s=gap)
 
     async def _point(self, shot: Shot) -> str:
@@ -234,11 +230,14 @@ class Shooter:
         fresh = False
         while True:
             await asyncio.sleep(0)  # a machine that cannot keep up with the samples must still hear everybody else
-            samples = feed.since(newest) or ([] if fresh else [await feed.newer_than(newest)])
+            readings = self.poses.since(newest)
+            if not readings and not fresh:
+                await feed.newer_than(newest)
+                readings = self.poses.since(newest)
             fresh = False
-            for sample in samples:
-                newest = sample.received_s
-                tracker.add(read_pose(sample, feed.vehicle_attitude_at(sample), self.reference_yaw_north_deg))
+            for reading in readings:
+                newest = reading.time_s
+                tracker.add(reading)
             now_s = self.clock.monotonic()
             settling_s = tracker.settled_at_s - now_s
             if 0 < settling_s < LAST_SLEEP_S:  # the trigger does not wait for one more sample

@@ -51,7 +51,7 @@ class Holding:
             vehicle=status,
             sample_age_s=math.inf if sample is None else now - sample.received_s,
             in_control=flight.gimbal.in_control,
-            expects_control=flight.record.gimbal_held,
+            expects_control=flight.record.gimbal_held and self._touched,  # not while it is being given back
             origin=flight.record.origin,
             storage_free_images=flight.camera.storage_free_images,
             holding=frozenset(flight.control.holds),

@@ -10,7 +10,7 @@ from panoexec.angles import wrap_180
 from panoexec.devices import AttitudeSample, Camera, Gimbal, Vehicle
 from panoexec.mission.settings import MissionSettings
 from panoexec.planning.model import GimbalLimits, Shot
-from panoexec.pointing import GIMBAL_FAILURES
+from panoexec.pose_reading import GIMBAL_FAILURES
 
 
 def limit_problems(shots: Iterable[Shot], limits: GimbalLimits, *, margin_deg: float = 1e-6) -> list[str]:

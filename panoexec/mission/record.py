@@ -13,7 +13,7 @@ from panoexec import events as ev
 from panoexec.angles import FloatArray, rotation, rotation_from_quaternion
 from panoexec.devices import EvidenceLevel
 from panoexec.planning.model import Shot
-from panoexec.pointing import pose_of
+from panoexec.pose_reading import pose_of
 from panoexec.states import ENDED, MissionState, check_transition
 
 

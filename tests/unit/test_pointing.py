@@ -13,18 +13,10 @@ from hypothesis import strategies as st
 from panoexec.angles import FloatArray, quaternion_from_rotation, rotation, wrap_180
 from panoexec.devices import AttitudeSample, Quaternion, VehicleAttitude, YawFrame
 from panoexec.planning.model import Tolerance
-from panoexec.pointing import (
-    GIMBAL_FAILURES,
-    Reading,
-    SettleLimits,
-    SettleTracker,
-    Target,
-    heading_deg,
-    judge_window,
-    mean_pose,
-    read_pose,
-    to_north,
-)
+from panoexec.pointing import SettleLimits, SettleTracker, Target, judge_window
+from panoexec.pose_reading import GIMBAL_FAILURES, PoseReader, Reading, heading_deg, mean_pose, read_pose, to_north
+from tests.unit.fakes.devices import FakeFeed
+from tests.unit.fakes.virtual import VirtualClock
 
 NAN = float("nan")
 TOLERANCE = Tolerance(pitch_deg=0.1, roll_deg=0.1, yaw_deg=0.5)
@@ -272,3 +264,30 @@ def test_at_the_nadir_roll_and_yaw_keep_their_meaning() -> None:
 
 def test_yaw_from_north() -> None:
     assert to_north(170.0, 30.0) == pytest.approx(-160.0)
+
+
+def _reader(q: list[Quaternion]) -> tuple[PoseReader, list[bool]]:
+    feed = FakeFeed(clock=VirtualClock())
+    reader = PoseReader(feed=feed, reference_yaw_north_deg=0.0)
+    good = []
+    for i, one in enumerate(q):
+        feed.push(AttitudeSample(0.02 * (i + 1), 0.02 * (i + 1), one, YawFrame.EARTH, 0.0))
+        good += [reading.rotation is not None for reading in reader.since(0.02 * i + 0.001)]
+    return reader, good
+
+
+def test_a_gimbal_that_measures_and_then_repeats_itself_is_frozen_until_it_measures_again() -> None:
+    alive = [_q(rotation(i * 0.001, -20.0)) for i in range(60)]
+    reader, good = _reader(alive + [alive[-1]] * 100 + alive[:10])
+    assert reader.measures
+    assert good[:60] == [True] * 60
+    assert good[60:63] == [True, True, False]
+    assert not any(good[63:160])
+    assert good[160:] == [True] * 10
+
+
+def test_a_gimbal_that_always_repeats_itself_only_echoes_and_is_not_called_frozen() -> None:
+    still = [_q(rotation(0.0, -20.0))] * 40 + [_q(rotation(1.0, -20.0))] * 40
+    reader, good = _reader(still)
+    assert not reader.measures
+    assert all(good)

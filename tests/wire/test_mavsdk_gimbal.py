@@ -15,7 +15,7 @@ from panoexec.adapters.mavsdk_link import MavsdkLink
 from panoexec.clock import SystemClock
 from panoexec.devices import Gimbal, YawFrame
 from panoexec.errors import DeviceError, LinkError
-from panoexec.pointing import pose_of, read_pose
+from panoexec.pose_reading import pose_of, read_pose
 from panoexec.sim.dialect import mavlink
 from tests.wire.scripted_peer import DENIED, NAN, GimbalPeer, ScriptedPeer, eventually
 

@@ -8,7 +8,7 @@ from panoexec import events as ev
 from panoexec.angles import rotation, rotation_from_quaternion
 from panoexec.mission.record import MissionRecord, ShotStatus, Verdict
 from panoexec.planning.pose_error import pose_error
-from panoexec.pointing import readings_since
+from panoexec.pose_reading import readings_since
 from panoexec.states import ENDED, TRANSITIONS, MissionState
 from tests.unit.fakes.world import World
 
