@@ -30,6 +30,7 @@ _ZENITH_DEG = 90.0 - 1e-7
 _SHRINK_RAD = 1e-7
 _MEET_RAD = 1e-6
 _MOST_RAYS = 200
+_MOST_POINTS = 1000
 _RAY_RAD = 3.0
 _STEP_DEG = 2.0
 
@@ -94,7 +95,7 @@ def uncovered(cores: Cores, domain: Domain) -> Uncovered:
     # images that only touch leave a hole without area; it is a hole all the same
     fraction = min(max(fraction, float(np.finfo(np.float64).eps)), 1.0)
     return Uncovered(
-        fraction=fraction, regions=tuple(sorted(regions, key=lambda r: (-r.solid_angle_sr, -r.hole.size_deg)))
+        fraction=fraction, regions=tuple(sorted(regions, key=lambda r: (-r.hole.size_deg, -r.solid_angle_sr)))
     )
 
 
@@ -364,22 +365,26 @@ def _region(pieces: _Pieces, middles: FloatArray, depths: FloatArray) -> HoleReg
     place = middles[deepest]
     outline = _outline(pieces)
     solid_angle = max(float(pieces.areas.sum()), 0.0)
-    centre = outline.sum(axis=0) + place
-    norm = float(np.linalg.norm(centre))
-    radius = math.pi / 2
-    if norm > 1e-9:
-        radius = float(np.arccos(np.clip((outline @ (centre / norm)).min(), -1.0, 1.0)))
-    # the outline bounds the region from outside when the hole is all that an image does not see
-    if solid_angle > 2 * math.pi * (1 - math.cos(radius)) + 1e-9:
-        radius = math.pi / 2
     elevation, azimuth = elevation_azimuth(place)
     return HoleRegion(
-        hole=Hole(
-            elevation_deg=float(elevation), azimuth_deg=float(azimuth), size_deg=min(2 * math.degrees(radius), 180.0)
-        ),
+        hole=Hole(elevation_deg=float(elevation), azimuth_deg=float(azimuth), size_deg=_size_deg(outline, solid_angle)),
         solid_angle_sr=solid_angle,
         outline=outline,
     )
+
+
+def _size_deg(outline: FloatArray, solid_angle_sr: float) -> float:
+    """A bound of the angular diameter of a hole, from points whose convex hull contains it if it is not too large."""
+    centre = outline.mean(axis=0)
+    norm = float(np.linalg.norm(centre))
+    radius = float(_angles(outline, centre / norm).max()) if norm > 1e-9 else math.pi
+    # what lies beyond the cap about the outline is wholly in the hole or not at all; if it is, so is most of the sphere
+    if radius >= math.pi / 2 or solid_angle_sr > 2 * math.pi:
+        return 180.0
+    if radius > math.pi / 4 or len(outline) > _MOST_POINTS:
+        return min(2 * math.degrees(radius), 180.0)
+    # in so small a cap a convex set is as wide as its farthest corners
+    return math.degrees(max(float(_angles(outline, point).max()) for point in outline))
 
 
 def _outline(pieces: _Pieces) -> FloatArray:
