@@ -1,7 +1,7 @@
 """Run the simulated vehicle alone, in the foreground, to try `panoexec serve` or any ground station against it.
 
-It sends MAVLink to the UDP port that MAVSDK or a ground station listens on (14550), as ArduPilot's SITL does; with
---listen it waits on the port instead. With --attach it is only the payload, gimbal and camera, of a real ArduPilot
+It sends MAVLink to the UDP port that MAVSDK or a ground station listens on (14540 and 14550), as the
+autopilots' own simulators do; with --listen it waits on the port instead. With --attach it is only the payload, gimbal and camera, of a real ArduPilot
 (MNT1_TYPE 6), in SITL or on a bench. Ctrl-C ends it.
 """
 
