@@ -36,29 +36,71 @@ def yaw_frame(flags: int) -> YawFrame:
     return YawFrame.EARTH if flags & YAW_LOCK else YawFrame.VEHICLE
 
 
-def gimbal_sample(fields: Mapping[str, Any], received_s: float, frame: YawFrame | None = None) -> AttitudeSample:
+def gimbal_sample(
+    fields: Mapping[str, Any], received_s: float, frame: YawFrame | None = None, *, heading_deg: float = _NAN
+) -> AttitudeSample:
     """A sample from GIMBAL_DEVICE_ATTITUDE_STATUS (285).
 
     Args:
         fields: of the message.
         received_s: when it arrived, on the mission's clock.
         frame: overrules the flags, for a mount that states the wrong one.
+        heading_deg: the vehicle's at the moment of the report, if it is known: then a sample in the vehicle's frame is
+            turned into the earth's (285: q_earth = q_delta_yaw * q_vehicle).
 
     Raises:
         KeyError, TypeError, ValueError: the fields are not those of 285.
     """
     w, x, y, z = (number(v) for v in fields["q"])
     norm = math.sqrt(w * w + x * x + y * y + z * z)
-    rates = [number(fields[f"angular_velocity_{axis}"]) for axis in "xyz"]
+    # a quaternion of zeros is no attitude; NaN says so to everyone
+    q = (w / norm, x / norm, y / norm, z / norm) if norm > 1e-6 else _UNKNOWN
+    frame = frame or yaw_frame(int(fields["flags"]))
+    if frame is YawFrame.VEHICLE and math.isfinite(heading_deg):
+        q, frame = _turned(q, heading_deg), YawFrame.EARTH
     return AttitudeSample(
         received_s=received_s,
         vehicle_s=fields["time_boot_ms"] / 1000.0,
-        # a quaternion of zeros is no attitude; NaN says so to everyone
-        q_wxyz=(w / norm, x / norm, y / norm, z / norm) if norm > 1e-6 else _UNKNOWN,
-        yaw_frame=frame or yaw_frame(int(fields["flags"])),
-        rate_deg_s=math.degrees(math.hypot(*rates)),
+        q_wxyz=q,
+        yaw_frame=frame,
+        rate_deg_s=_rate_deg_s(fields, q),
         failure_flags=int(fields["failure_flags"]),
     )
+
+
+def told_heading_deg(fields: Mapping[str, Any]) -> float:
+    """The vehicle's heading as a gimbal tells it in 285 (`delta_yaw`); NaN where it is unknown or to be ignored."""
+    if not int(fields["flags"]) & (YAW_IN_VEHICLE_FRAME | YAW_IN_EARTH_FRAME):
+        return _NAN
+    return math.degrees(number(fields.get("delta_yaw")))
+
+
+def _turned(q: Quaternion, yaw_deg: float) -> Quaternion:
+    """The attitude turned about the vertical: Rz(yaw) * q."""
+    c, s = math.cos(math.radians(yaw_deg) / 2), math.sin(math.radians(yaw_deg) / 2)
+    w, x, y, z = q
+    return (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
+
+
+def _rate_deg_s(fields: Mapping[str, Any], q: Quaternion) -> float:
+    """Angular speed against the world.
+
+    In the vehicle's frame the reported one lacks the vehicle's own turning (285: w_earth = w_delta_yaw_velocity +
+    w_vehicle), which is a gimbal's steady work in wind and no motion of the camera. Unknown (NaN) without it; exactly 0
+    is what the field holds that an older gimbal does not send.
+    """
+    x, y, z = (number(fields[f"angular_velocity_{axis}"]) for axis in "xyz")
+    if int(fields["flags"]) & YAW_IN_VEHICLE_FRAME:
+        turning = number(fields.get("delta_yaw_velocity")) or _NAN
+        down_x, down_y, down_z = _down(q)
+        x, y, z = x + turning * down_x, y + turning * down_y, z + turning * down_z
+    return math.degrees(math.hypot(x, y, z))
+
+
+def _down(q: Quaternion) -> tuple[float, float, float]:
+    """The world's vertical (down) in the camera's axes."""
+    w, x, y, z = q
+    return 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
 
 
 def vehicle_attitude(fields: Mapping[str, Any], received_s: float) -> VehicleAttitude:

@@ -16,7 +16,14 @@ import structlog
 from mavsdk.plugins.gimbal import ControlMode, ControlStatus, Gimbal, GimbalItem, GimbalList, GimbalMode, SendMode
 
 from panoexec.adapters.attitude_buffer import AttitudeBuffer
-from panoexec.adapters.attitude_messages import gimbal_sample, manager_limits, vehicle_attitude
+from panoexec.adapters.attitude_messages import (
+    gimbal_sample,
+    manager_limits,
+    number,
+    told_heading_deg,
+    vehicle_attitude,
+)
+from panoexec.adapters.gimbal_heading import HeadingBlend
 from panoexec.adapters.mavsdk_link import MavsdkLink
 from panoexec.adapters.message_hub import MavMessage
 from panoexec.adapters.stream_keeper import AUTOPILOT
@@ -85,6 +92,7 @@ class MavsdkGimbal:
         self._feedback_wanted = feedback
         self._frame = _FRAMES.get(feedback) if feedback else None
         self._buffer = AttitudeBuffer(autopilot_component=AUTOPILOT)
+        self._heading = HeadingBlend()
         self._found: GimbalFound | None = None
         self._limits: GimbalLimits | None = None
         self._control: ControlStatus | None = None
@@ -240,7 +248,10 @@ class MavsdkGimbal:
             return  # a second mount of the vehicle
         self._sample_s = time.monotonic()
         before = self._buffer.source_component
-        sample = gimbal_sample(message.fields, message.received_s, self._frame)
+        heading_deg = math.nan
+        if message.component_id != AUTOPILOT:
+            heading_deg = self._heading.gimbal(told_heading_deg(message.fields), message.received_s)
+        sample = gimbal_sample(message.fields, message.received_s, self._frame, heading_deg=heading_deg)
         self._buffer.put_sample(sample, message.component_id)
         if self._buffer.source_component != before:
             self._link.post(self._source_changed)
@@ -248,6 +259,7 @@ class MavsdkGimbal:
     def _airframe(self, message: MavMessage) -> None:
         if message.component_id == AUTOPILOT:
             self._buffer.put_vehicle(vehicle_attitude(message.fields, message.received_s))
+            self._heading.vehicle(math.degrees(number(message.fields["yaw"])), message.received_s)
 
     def _information(self, message: MavMessage) -> None:
         limits = manager_limits(message.fields)

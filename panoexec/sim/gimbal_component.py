@@ -70,6 +70,7 @@ class GimbalComponent:
         )
         self._attitude_stream = Repeater(timeline, self._stream_attitude)
         self._frozen: Angles | None = None
+        self._frozen_nose_deg = 0.0
 
     def start(self) -> None:
         """Start the heartbeat and the attitude stream, both of which a gimbal sends unasked."""
@@ -83,7 +84,7 @@ class GimbalComponent:
             return Angles(NAN, NAN, NAN)
         if self._faults.active("attitude-frozen", now):
             if self._frozen is None:
-                self._frozen = self._fresh()
+                self._frozen, self._frozen_nose_deg = self._fresh(), self.physics.nose_deg
             return self._frozen
         self._frozen = None
         return self._fresh()
@@ -146,9 +147,12 @@ class GimbalComponent:
         )
 
     def attitude_status(self) -> Message:
-        """GIMBAL_DEVICE_ATTITUDE_STATUS (285) of the moment."""
+        """GIMBAL_DEVICE_ATTITUDE_STATUS (285) of the moment: angles and rates relative to the vehicle's nose."""
         measured, lock = self.measured(), self.physics.target.yaw_lock
-        rates = body_rates(measured, self.physics.rates)
+        nose_deg = self.physics.nose_deg if self._frozen is None else self._frozen_nose_deg
+        turning = self.vehicle_yaw_rate_deg_s
+        yaw_s, roll_s, pitch_s = self.physics.rates
+        rates = body_rates(measured, Rates(yaw_s - turning, roll_s, pitch_s))
         return mavlink.MAVLink_gimbal_device_attitude_status_message(
             0,
             0,
@@ -157,8 +161,8 @@ class GimbalComponent:
             quaternion(measured),
             *rates,
             0,
-            math.radians((self.physics.nose_deg + 180) % 360 - 180),
-            NAN,
+            math.radians((nose_deg + 180) % 360 - 180),
+            math.radians(turning),
             0,
         )
 

@@ -11,6 +11,7 @@ from panoexec.adapters.attitude_messages import (
     interpolate,
     manager_limits,
     number,
+    told_heading_deg,
     vehicle_attitude,
     yaw_frame,
 )
@@ -53,7 +54,7 @@ def test_the_frame_follows_from_the_flags(flags: int, frame: YawFrame) -> None:
 
 
 def test_a_sample_carries_all_that_the_message_tells() -> None:
-    sample = gimbal_sample(fields_285(q=[0.0, 0.0, -2.0, 0.0], failure_flags=8), 77.0)
+    sample = gimbal_sample(fields_285(q=[0.0, 0.0, -2.0, 0.0], failure_flags=8, delta_yaw_velocity=1e-12), 77.0)
     assert (sample.received_s, sample.vehicle_s) == (77.0, 12.345)
     assert sample.q_wxyz == (0.0, 0.0, -1.0, 0.0)
     assert sample.yaw_frame is YawFrame.VEHICLE
@@ -74,6 +75,59 @@ def test_no_attitude_is_not_a_number(q: list[float | None]) -> None:
 def test_an_untold_rate_is_not_a_number() -> None:
     assert math.isnan(gimbal_sample(fields_285(angular_velocity_y=None), 0.0).rate_deg_s)
     assert math.isnan(number(None))
+
+
+@pytest.mark.parametrize("changes", [{}, {"delta_yaw_velocity": None}, {"delta_yaw_velocity": 0.0}])
+def test_a_rate_in_the_vehicles_frame_is_none_against_the_world(changes: dict[str, Any]) -> None:
+    assert math.isnan(gimbal_sample(fields_285(**changes), 0.0).rate_deg_s)
+    assert gimbal_sample(fields_285(flags=12 + 64, **changes), 0.0).rate_deg_s == pytest.approx(math.degrees(0.05))
+
+
+@given(yaw=ANGLE, pitch=st.floats(-1.5, 1.5), roll=st.floats(-0.5, 0.5), turning=st.floats(0.01, 1.0))
+def test_the_vehicles_turning_is_added_to_a_rate_in_its_frame(
+    yaw: float, pitch: float, roll: float, turning: float
+) -> None:
+    airframe = vehicle_attitude(fields_30(roll, pitch, yaw), 0.0)  # any attitude will do
+    down = rotation_from_quaternion(np.array(airframe.q_wxyz)).T @ np.array([0.0, 0.0, 1.0])
+    relative = -turning * down  # a camera that stands still over a vehicle that turns
+    sample = gimbal_sample(
+        fields_285(q=list(airframe.q_wxyz), delta_yaw_velocity=turning)
+        | {f"angular_velocity_{axis}": float(value) for axis, value in zip("xyz", relative, strict=True)},
+        0.0,
+    )
+    assert sample.rate_deg_s == pytest.approx(0.0, abs=1e-9)
+
+
+@given(yaw=ANGLE, heading=st.floats(-180, 180))
+def test_a_known_heading_turns_a_sample_into_the_earths_frame(yaw: float, heading: float) -> None:
+    sample = gimbal_sample(fields_285(q=[math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)]), 0.0, heading_deg=heading)
+    assert sample.yaw_frame is YawFrame.EARTH
+    ahead = rotation_from_quaternion(np.array(sample.q_wxyz))[:, 0]
+    angle = yaw + math.radians(heading)
+    assert ahead == pytest.approx([math.cos(angle), math.sin(angle), 0.0], abs=1e-9)
+
+
+@pytest.mark.parametrize("changes", [{"flags": 64 + 12}, {"flags": 64 + 16 + 12}])
+def test_a_heading_does_not_turn_what_is_in_the_earths_frame_already(changes: dict[str, Any]) -> None:
+    assert gimbal_sample(fields_285(**changes), 0.0, heading_deg=90.0).q_wxyz == (1.0, 0.0, 0.0, 0.0)
+
+
+def test_a_servo_mounts_angles_are_not_turned_by_a_heading() -> None:
+    sample = gimbal_sample(fields_285(), 0.0, YawFrame.BODY, heading_deg=90.0)
+    assert (sample.yaw_frame, sample.q_wxyz) == (YawFrame.BODY, (1.0, 0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("changes", "heading_deg"),
+    [
+        ({"delta_yaw": math.pi / 2}, 90.0),
+        ({"delta_yaw": None}, math.nan),
+        ({}, math.nan),
+        ({"delta_yaw": 1.0, "flags": 12 + 16}, math.nan),  # 285: without a frame flag the field is to be ignored
+    ],
+)
+def test_the_heading_that_a_gimbal_tells(changes: dict[str, Any], heading_deg: float) -> None:
+    assert told_heading_deg(fields_285(**changes)) == pytest.approx(heading_deg, nan_ok=True)
 
 
 @given(roll=ANGLE, pitch=st.floats(-1.5, 1.5), yaw=ANGLE)
