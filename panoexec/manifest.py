@@ -22,7 +22,7 @@ from panoexec import events as ev
 from panoexec.angles import rotation
 from panoexec.clock import Clock
 from panoexec.codec import encode
-from panoexec.errors import InputFileError
+from panoexec.errors import InputFileError, UsageError
 from panoexec.files import write_atomically
 from panoexec.mission.record import AttemptRecord, MissionRecord, ShotRecord
 from panoexec.planfile import camera_to_data, certificate_to_data
@@ -83,13 +83,16 @@ class ManifestWriter:
     async def run(self) -> None:
         """Write after changes, not too often; runs until cancelled.
 
-        Raises:
-            UsageError: the file cannot be written.
+        A failure is no reason to end a flight, whose truth is in the journal: it is tried again, and whoever writes the
+        last version hears of it.
         """
         while True:
             await self._dirty.wait()
             self._dirty.clear()
-            await self.write()
+            try:
+                await self.write()
+            except UsageError:
+                self._dirty.set()
             await self._clock.sleep(self._every_s)
 
     async def write(self) -> None:
