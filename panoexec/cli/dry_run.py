@@ -36,6 +36,7 @@ from panoexec.cli.planning_options import (
 )
 from panoexec.dryrun import DryRunOptions, DryRunSummary, resume_dry_run, run_dry_run
 from panoexec.errors import DependencyError, UsageError
+from panoexec.logs import configure_logs
 from panoexec.mission.settings import MissionSettings
 from panoexec.planfile import read_plan_file
 from panoexec.planning.model import GimbalLimits, Plan
@@ -57,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     mission.add_argument("--reference", choices=("north", "heading"), default="north", help="yaw 0 of the plan (north)")
     mission.add_argument("--accept", choices=("tolerance", "overlap"), default="tolerance", help="what counts as good")
     mission.add_argument("--no-images", action="store_true", help="do not render the photos")
+    mission.add_argument("--verbose", action="store_true", help="log what the links and devices say, on stderr")
     mission.add_argument("--json", action="store_true", help="one JSON document on stdout: the summary")
     add_camera_arguments(parser, required=False)
     add_constraint_arguments(parser)
@@ -73,6 +75,7 @@ def run(args: argparse.Namespace) -> int:
             raise DependencyError(
                 f"`dry-run` needs the Python package {package}: install it with  pip install 'panoexec[sim]'"
             )
+    configure_logs("debug" if args.verbose else "warning", "human")
     if args.scene:
         load_scene(args.scene)  # refused here, before any work
     _check_storage(args.output)
