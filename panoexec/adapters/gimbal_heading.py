@@ -1,7 +1,7 @@
 """The vehicle's heading at the moment of a gimbal's report, for gimbals that tell it (`delta_yaw` of message 285).
 
-A gimbal in the vehicle's frame reports its yaw relative to the nose, and the nose of a multirotor in wind turns by up to
-15° a second (measured: ArduCopter SITL, 8 m/s). Paired with the autopilot's ATTITUDE by the time of arrival, a delay of
+A gimbal in the vehicle's frame reports its yaw relative to the nose, and the nose of a multirotor in wind turns at
+15° a second and more (measured: ArduCopter SITL, 8 m/s). Paired with the autopilot's ATTITUDE by arrival, a delay of
 50 ms between the two streams is then 0.7° of error. What the gimbal says of the heading belongs to the same moment as
 its angles; but its heading may drift, if it rests on its own gyroscopes. So: the gimbal's word for what is fast, the
 autopilot's for what is slow.
