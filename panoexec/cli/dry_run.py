@@ -1,7 +1,8 @@
-"""Fly a whole mission on the embedded simulated vehicle: plan, point, expose, judge, retake, prove.
+"""Fly a whole mission on a simulated vehicle: plan, point, expose, judge, retake, prove.
 
-The simulated drone is a process of its own that speaks MAVLink over UDP; on this side runs exactly what flies a real
-one. The mission directory is DIR/missions/ID: plan, manifest, journal, photos. Exit code 1: the panorama is incomplete.
+The simulated drone (the embedded one, or ArduPilot's SITL with our payload) is a process of its own that speaks MAVLink
+over UDP; on this side runs exactly what flies a real one. The mission directory is DIR/missions/ID: plan, manifest,
+journal, photos. Exit code 1: the panorama is incomplete.
 
 Examples:
   panoexec dry-run --camera dji-x5s-15mm --overlap 0.15 --elevation -90 30
@@ -44,6 +45,7 @@ from panoexec.planning.request import check_request
 from panoexec.sim.config import SimConfig
 from panoexec.sim.options import add_vehicle_arguments, camera_of, config_of
 from panoexec.sim.scene import load_scene
+from panoexec.sitl.autopilot import sitl_binary
 from panoexec.states import MissionState
 
 _EXIT = {MissionState.COMPLETE: 0, MissionState.FAILED: 3}
@@ -65,7 +67,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_gimbal_arguments(parser)
     add_method_arguments(parser)
     add_vehicle_arguments(parser)
-    parser.set_defaults(host="127.0.0.1", port=None, listen=False, attach=None, on_ground=False)
+    sitl = parser.add_argument_group("on ArduPilot's own software, instead of the embedded vehicle (docs/sitl.md)")
+    sitl.add_argument(
+        "--sitl",
+        nargs="?",
+        const="",
+        metavar="BINARY",
+        help="start this ArduCopter SITL (or $ARDUPILOT_SITL), fly it to 30 m, take the panorama, land",
+    )
+    sitl.add_argument(
+        "--sitl-connect",
+        metavar="URL",
+        help="a SITL or bench vehicle that runs already, like udpin://0.0.0.0:14550; it is never armed or flown",
+    )
+    sitl.add_argument(
+        "--attach", metavar="URL", help="with --sitl-connect: join the simulated payload there, like tcp:127.0.0.1:5762"
+    )
+    parser.set_defaults(host="127.0.0.1", port=None, listen=False, on_ground=False)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -78,6 +96,10 @@ def run(args: argparse.Namespace) -> int:
     configure_logs("debug" if args.verbose else "warning", "human")
     if args.scene:
         load_scene(args.scene)  # refused here, before any work
+    if args.sitl is not None and args.sitl_connect:
+        raise UsageError("--sitl and --sitl-connect exclude each other: start a SITL, or use one that runs")
+    if args.attach and not args.sitl_connect:
+        raise UsageError("--attach goes with --sitl-connect; --sitl attaches the payload by itself")
     _check_storage(args.output)
     view = MissionView()
     if args.resume:
@@ -132,6 +154,8 @@ def _options(args: argparse.Namespace) -> DryRunOptions:
         storage=args.output,
         reference=args.reference,
         images=not args.no_images,
+        sitl=None if args.sitl is None else sitl_binary(args.sitl or None),
+        connect=args.sitl_connect,
     )
 
 
