@@ -253,13 +253,14 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
             )
             async with opened as session:
                 on_mission(session.mission)
-                before = _pose_now(devices, 0.0)
+                before, began_utc_s = _pose_now(devices, 0.0), clock.time()
                 record = await session.run()
                 start = None if before is None else (before[0], before[1] - record.reference_yaw_north_deg)
                 duration_s, certificate = session.mission.shooting_s, session.mission.certificate
     finally:
         await stored.journal.close()
-    limit_s = physical_limit_s(stored.plan.shots, stored.settings, start=start, exposure_s=simulation.camera.exposure_s)
+    shots = _shots_flown(record, since_utc_s=began_utc_s)
+    limit_s = physical_limit_s(shots, stored.settings, start=start, exposure_s=simulation.camera.exposure_s)
     summary = summarise(stored, record, duration_s=duration_s, limit_s=limit_s, certificate=certificate)
     return replace(summary, vehicle=rig.about)
 
@@ -335,6 +336,16 @@ def physical_limit_s(
         total_s += least_s if number == 0 else max(least_s, settings.interval_s)
         at = (shot.pitch_deg, shot.yaw_deg)
     return total_s
+
+
+def _shots_flown(record: MissionRecord, *, since_utc_s: float) -> tuple[Shot, ...]:
+    """The shots tried since a moment, each once, in the order of their first attempt: patches too."""
+    first = {
+        attempt.started_utc_s: shot.shot
+        for shot in record.shots.values()
+        for attempt in [a for a in shot.attempts if a.started_utc_s >= since_utc_s][:1]
+    }
+    return tuple(shot for _, shot in sorted(first.items()))
 
 
 def _pose_now(devices: Devices, reference_yaw_north_deg: float) -> tuple[float, float] | None:
