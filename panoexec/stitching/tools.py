@@ -35,7 +35,7 @@ def check_tools() -> None:
     """
     missing = [name for name in NEEDED if shutil.which(name) is None]
     if missing:
-        raise ToolError(f"Hugin's tools {', '.join(missing)} are not installed: {_INSTALL}")
+        raise ToolError(f"Hugin's tools are not installed (missing: {', '.join(missing)}): {_INSTALL}")
 
 
 def run_tool(command: Sequence[str], folder: Path, on_line: Callable[[str], None] | None = None) -> None:

@@ -192,7 +192,7 @@ def test_tools_that_are_not_installed_or_fail(
     tools.mkdir()
     monkeypatch.setenv("PATH", str(tools))
     assert app.run(["stitch", str(copy), "--restart"]) == 3
-    assert "cpfind, nona are not installed" in capsys.readouterr().err
+    assert "not installed (missing: cpfind, nona): install them with" in capsys.readouterr().err
     for name in ("cpfind", "nona"):
         (tools / name).write_text("#!/bin/sh\necho went wrong\nexit 7\n")
         (tools / name).chmod(0o755)
