@@ -1,0 +1,402 @@
+"""The connection to the broker: opened again for ever, with a will, requests in, everything else out.
+
+Nothing here waits for the broker on behalf of a mission: what is published goes into a bounded outbox and leaves it
+when the broker has acknowledged it (QoS 1), so a message may come twice but is not lost with a connection.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import random
+import time
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+from typing import Final
+
+import aiomqtt
+import structlog
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from paho.mqtt.subscribeoptions import SubscribeOptions
+
+from panoexec.config import MqttSection
+from panoexec.errors import PanoexecError
+from panoexec.mqtt.credentials import read_password, tls_context
+from panoexec.mqtt.messages import MAX_PAYLOAD
+from panoexec.mqtt.outbox import Outbox, Outgoing
+
+ONLINE: Final = b"online"
+OFFLINE: Final = b"offline"
+
+BACKOFF_S: Final = 1.0
+BACKOFF_MOST_S: Final = 30.0
+_STEADY_S: Final = 10.0
+_CONNECT_S: Final = 10.0
+_PULSE_S: Final = 2.0
+_SESSION_EXPIRY_S: Final = 30
+_INCOMING: Final = 500
+_LARGEST_PACKET: Final = 16 * 2**20
+_BATCH: Final = 16
+_TAKEN_OVER: Final = 142
+_REFUSED: Final = 128
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Incoming:
+    """A request as it arrived.
+
+    Attributes:
+        command: the part of its topic after `request/`.
+        payload: bytes; empty if there were more than `MAX_PAYLOAD`.
+        size: of the payload as sent.
+        retained: the broker had kept it, or was asked to.
+        response_topic: where the answer is wanted besides; "" for nowhere.
+        correlation: to be sent back with it.
+        received_s: time.monotonic at its arrival.
+        expires_s: when it must not be obeyed any more; infinity without an expiry.
+    """
+
+    command: str
+    payload: bytes
+    size: int
+    retained: bool = False
+    response_topic: str = ""
+    correlation: bytes | None = None
+    received_s: float = 0.0
+    expires_s: float = math.inf
+
+
+class Topics:
+    """The topics of one vehicle."""
+
+    def __init__(self, prefix: str, vehicle: str) -> None:
+        self.base = f"{prefix}/{vehicle}"
+        self.status = f"{self.base}/status"
+        self.state = f"{self.base}/state"
+        self.plan = f"{self.base}/plan"
+        self.event = f"{self.base}/event"
+        self.requests = f"{self.base}/request/#"
+
+    def request(self, command: str) -> str:
+        """Where a command is asked for."""
+        return f"{self.base}/request/{command}"
+
+    def response(self, command: str) -> str:
+        """Where it is answered."""
+        return f"{self.base}/response/{command}"
+
+    def may_answer_at(self, topic: str) -> bool:
+        """Whether a requester may choose this topic for an answer: below ours, and none that means something else."""
+        if not topic.startswith(f"{self.base}/") or any(char in topic for char in "+#\0"):
+            return False
+        first = topic.removeprefix(f"{self.base}/").partition("/")[0]
+        return first not in {"status", "state", "plan", "event", "request", ""}
+
+
+class MqttLink:
+    """Keeps a connection to the broker; `run` it in a task.
+
+    Attributes:
+        topics: of the vehicle.
+        connected: whether the broker answers.
+        pulse_s: time.monotonic when the link last proved that it is not stuck.
+        reason: why there is no connection, "" if there is one.
+    """
+
+    def __init__(
+        self,
+        settings: MqttSection,
+        *,
+        vehicle: str,
+        on_request: Callable[[Incoming], None],
+        on_connected: Callable[[], None] = lambda: None,
+        backoff_s: float = BACKOFF_S,
+    ) -> None:
+        """Describe the link.
+
+        Args:
+            settings: broker and how to speak to it; `host` is set.
+            vehicle: its id.
+            on_request: takes each request, at once; must not raise.
+            on_connected: called at each connection, before anything is published.
+            backoff_s: wait after the first failure, doubled up to `BACKOFF_MOST_S`.
+        """
+        self.topics = Topics(settings.prefix, vehicle)
+        self.connected = False
+        self.pulse_s = time.monotonic()
+        self.reason = "not connected yet"
+        self.outbox = Outbox()
+        self._settings = settings
+        self._vehicle = vehicle
+        self._on_request = on_request
+        self._on_connected = on_connected
+        self._backoff_s = backoff_s
+        self._five = settings.protocol == "5"
+        self._times = 0
+        self._stopping = asyncio.Event()
+        self._said = ""
+
+    # --- out
+
+    def publish(self, topic: str, payload: bytes, *, retain: bool = False, correlation: bytes | None = None) -> None:
+        """Publish as soon as the broker is there; never waits."""
+        self.outbox.put(Outgoing(topic=topic, payload=payload, retain=retain, correlation=correlation))
+
+    def respond(self, request: Incoming, payload: bytes) -> None:
+        """Answer a request: on the command's response topic, and where its sender wants it, if that is allowed."""
+        command = request.command if _is_topic_part(request.command) else "unknown"
+        usual = self.topics.response(command)
+        self.publish(usual, payload, correlation=request.correlation)
+        if not request.response_topic or request.response_topic == usual:
+            return
+        if self.topics.may_answer_at(request.response_topic):
+            self.publish(request.response_topic, payload, correlation=request.correlation)
+        else:
+            _log.warning("response topic refused", topic=request.response_topic[:200], allowed_below=self.topics.base)
+
+    # --- life
+
+    def stop(self) -> None:
+        """Let `run` end: what waits is published if the broker is there, then `offline`."""
+        self._stopping.set()
+        self.outbox.filled.set()
+
+    async def run(self) -> None:
+        """Connect, and again after every loss, until `stop`."""
+        patience_s = self._backoff_s
+        while not self._stopping.is_set():
+            began = time.monotonic()
+            try:
+                await self._session()
+            except (aiomqtt.MqttError, PanoexecError, OSError, TimeoutError, ValueError) as error:
+                self._lost(error)
+                if time.monotonic() - began > _STEADY_S:
+                    patience_s = self._backoff_s
+                if _taken_over(error):
+                    patience_s = BACKOFF_MOST_S
+            finally:
+                self.connected = False
+            if self._stopping.is_set():
+                return
+            # full jitter: a fleet whose broker comes back does not come back at once
+            await self._pause(patience_s * random.uniform(0.5, 1.0))
+            patience_s = min(2 * patience_s, BACKOFF_MOST_S)
+
+    async def _pause(self, seconds: float) -> None:
+        deadline = time.monotonic() + seconds
+        while not self._stopping.is_set() and (left := deadline - time.monotonic()) > 0:
+            self.pulse_s = time.monotonic()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(min(left, _PULSE_S)):
+                    await self._stopping.wait()
+
+    async def _session(self) -> None:
+        """One connection, from its beginning to its end."""
+        client = await self._client()
+        async with contextlib.AsyncExitStack() as stack:
+            await self._until_stop(stack.enter_async_context(client))
+            await self._subscribe(client)
+            self._times += 1
+            self._said, self.reason, self.connected = "", "", True
+            _log.info("broker connected", host=self._settings.host, port=self._settings.port, topic=self.topics.base)
+            await client.publish(self.topics.status, ONLINE, qos=1, retain=True)
+            self.outbox.renew()
+            self._on_connected()
+            await self._talk(client)
+
+    async def _until_stop(self, connecting: object) -> None:
+        """Connect, but do not keep a stop waiting."""
+        task = asyncio.ensure_future(connecting)  # type: ignore[call-overload]  # any awaitable
+        stop = asyncio.create_task(self._stopping.wait(), name="mqtt stop")
+        try:
+            await asyncio.wait({task, stop}, return_when=asyncio.FIRST_COMPLETED, timeout=2 * _CONNECT_S)
+            if not task.done():
+                raise aiomqtt.MqttError("the broker does not answer")
+            await task
+        finally:
+            self.pulse_s = time.monotonic()
+            for one in (task, stop):
+                one.cancel()
+            await asyncio.gather(task, stop, return_exceptions=True)
+
+    async def _talk(self, client: aiomqtt.Client) -> None:
+        """Take requests and publish until the connection is lost or `stop`."""
+        reading = asyncio.create_task(self._read(client), name="mqtt requests")
+        sending = asyncio.create_task(self._send(client), name="mqtt outbox")
+        try:
+            await asyncio.wait({reading, sending}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in (reading, sending):
+                task.cancel()
+            results = await asyncio.gather(reading, sending, return_exceptions=True)
+        for result in results:
+            if isinstance(result, Exception):
+                raise result
+
+    async def _read(self, client: aiomqtt.Client) -> None:
+        async for message in client.messages:
+            incoming = self._incoming(message)
+            if incoming is not None:
+                self._on_request(incoming)
+
+    async def _send(self, client: aiomqtt.Client) -> None:
+        while True:
+            self.pulse_s = time.monotonic()
+            batch = self.outbox.take(_BATCH)
+            if batch:
+                await self._send_batch(client, batch)
+            elif self._stopping.is_set():
+                await client.publish(self.topics.status, OFFLINE, qos=1, retain=True)
+                return
+            else:
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(_PULSE_S):
+                        await self.outbox.filled.wait()
+
+    async def _send_batch(self, client: aiomqtt.Client, batch: list[Outgoing]) -> None:
+        """Several at once, in order: a radio with a long way there and back must not be waited for each time."""
+        sends = [
+            asyncio.ensure_future(
+                client.publish(
+                    message.topic, message.payload, qos=1, retain=message.retain, properties=self._properties(message)
+                )
+            )
+            for message in batch
+        ]
+        try:
+            results = await asyncio.gather(*sends, return_exceptions=True)
+        finally:
+            for send in sends:
+                send.cancel()
+        for message, result in zip(batch, results, strict=True):
+            if isinstance(result, BaseException):
+                raise result
+            self.outbox.done(message)
+
+    # --- details of the protocol
+
+    async def _client(self) -> aiomqtt.Client:
+        settings = self._settings
+        assert settings.host is not None
+        password = await asyncio.to_thread(read_password, settings)
+        tls = await asyncio.to_thread(tls_context, settings)
+        connect = None
+        if self._five:
+            connect = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+            # requests that are on their way when a radio loses us for seconds still come, unless they expire
+            connect.SessionExpiryInterval = _SESSION_EXPIRY_S
+            connect.MaximumPacketSize = _LARGEST_PACKET
+        return aiomqtt.Client(
+            hostname=settings.host,
+            port=settings.port,
+            username=settings.username,
+            password=password,
+            identifier=f"panoexec-{self.topics.base.replace('/', '-')}",
+            protocol=aiomqtt.ProtocolVersion.V5 if self._five else aiomqtt.ProtocolVersion.V311,
+            # what was asked for while this process did not run is not obeyed by it
+            clean_start=self._times == 0 if self._five else 3,
+            clean_session=None if self._five else True,
+            properties=connect,
+            will=aiomqtt.Will(self.topics.status, OFFLINE, qos=1, retain=True),
+            keepalive=settings.keepalive_s,
+            timeout=_CONNECT_S,
+            tls_context=tls,
+            queue_type=_Inbox,
+            max_queued_incoming_messages=_INCOMING,
+            max_inflight_messages=_BATCH + 4,
+        )
+
+    async def _subscribe(self, client: aiomqtt.Client) -> None:
+        if self._five:
+            # the broker tells us which requests were published with the retain flag, so that they can be refused
+            options = SubscribeOptions(qos=1, retainAsPublished=True, retainHandling=0)
+            answer = await client.subscribe(self.topics.requests, options=options)
+        else:
+            answer = await client.subscribe(self.topics.requests, qos=1)
+        code = answer[0]
+        if getattr(code, "value", code) >= _REFUSED:
+            raise aiomqtt.MqttError(f"the broker does not let us read {self.topics.requests}: look at its ACL")
+
+    def _properties(self, message: Outgoing) -> Properties | None:
+        if not self._five:
+            return None
+        properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+        if message.payload:
+            properties.ContentType = "application/json"
+            properties.PayloadFormatIndicator = 1
+        if message.correlation is not None:
+            properties.CorrelationData = message.correlation
+        return properties
+
+    def _incoming(self, message: aiomqtt.Message) -> Incoming | None:
+        payload = message.payload if isinstance(message.payload, bytes) else b""
+        retained = bool(message.retain)
+        size = len(payload)
+        if isinstance(message, _Cut):
+            size = message.size
+        if retained and not size:
+            return None  # somebody clears a retained request
+        properties = message.properties
+        now = time.monotonic()
+        expiry = getattr(properties, "MessageExpiryInterval", None)
+        return Incoming(
+            command=str(message.topic).removeprefix(f"{self.topics.base}/request/"),
+            payload=payload,
+            size=size,
+            retained=retained,
+            response_topic=str(getattr(properties, "ResponseTopic", "") or ""),
+            correlation=getattr(properties, "CorrelationData", None),
+            received_s=now,
+            expires_s=math.inf if expiry is None else now + float(expiry),
+        )
+
+    def _lost(self, error: Exception) -> None:
+        text = str(error) or type(error).__name__
+        if _taken_over(error):
+            text = f"another client took over our name: do two daemons have the vehicle id {self._vehicle!r}?"
+        self.reason = text
+        if text != self._said:
+            _log.warning("no broker", host=self._settings.host, port=self._settings.port, error=text)
+        self._said = text
+
+
+class _Cut(aiomqtt.Message):
+    """A message whose payload was thrown away for its size."""
+
+    size: int = 0
+
+
+class _Inbox(asyncio.Queue[aiomqtt.Message]):
+    """Keeps no payload that is too large to be read, so that a flood of them cannot fill the memory."""
+
+    def _put(self, item: aiomqtt.Message) -> None:
+        payload = item.payload
+        if isinstance(payload, bytes) and len(payload) > MAX_PAYLOAD:
+            cut = _Cut(item.topic, b"", item.qos, item.retain, item.mid, item.properties)
+            cut.size = len(payload)
+            item = cut
+        super()._put(item)
+
+
+def _taken_over(error: Exception) -> bool:
+    code = getattr(error, "rc", None)
+    return getattr(code, "value", code) == _TAKEN_OVER
+
+
+def _is_topic_part(text: str) -> bool:
+    return 0 < len(text) <= 64 and text.replace("_", "").replace("-", "").isalnum() and text.isascii()
+
+
+@contextlib.asynccontextmanager
+async def running(link: MqttLink) -> AsyncIterator[MqttLink]:
+    """The link while the block runs; says `offline` at its end."""
+    async with asyncio.TaskGroup() as group:
+        group.create_task(link.run(), name="mqtt link")
+        try:
+            yield link
+        finally:
+            link.stop()

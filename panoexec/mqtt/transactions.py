@@ -1,0 +1,197 @@
+"""Requests that were obeyed and how they were answered, so that the same one acts once, across restarts too.
+
+One SQLite file in the storage: a request is noted before it acts and its answer after, both durable. A request that was
+noted and never answered belongs to a process that died in between: nobody knows whether it acted, so it does not act
+again. The file also keeps the few things that the daemon must remember (`remember`, `recall`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+import sqlite3
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal, Self, TypeAlias, TypeVar
+
+from panoexec.errors import UsageError
+from panoexec.mqtt.messages import RefusedRequestError, Request
+
+T = TypeVar("T")
+Standing: TypeAlias = Literal["new", "under way", "interrupted", "answered"]
+
+KEPT: Final = 10_000
+"""Answers that are kept; older ones are forgotten."""
+
+_SCHEMA = """
+CREATE TABLE IF NOT EXISTS transactions (
+    id TEXT PRIMARY KEY, command TEXT NOT NULL, digest TEXT NOT NULL, boot_id TEXT NOT NULL, response TEXT,
+    number INTEGER NOT NULL
+) STRICT;
+CREATE TABLE IF NOT EXISTS memory (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Noted:
+    """What is known of a transaction.
+
+    Attributes:
+        standing: whether it may act now (`new`), acts already, acted in a process that died, or was answered.
+        response: the answer that was given, as JSON; "" without one.
+    """
+
+    standing: Standing
+    response: str = ""
+
+
+class Transactions:
+    """The store; `open` it and close it. Work is done in a thread of its own.
+
+    Args:
+        path: the file; made if it does not exist.
+        boot_id: of this process.
+    """
+
+    def __init__(self, path: Path, boot_id: str, pool: ThreadPoolExecutor, connection: sqlite3.Connection) -> None:
+        self.path = path
+        self._boot_id = boot_id
+        self._pool = pool
+        self._connection = connection
+
+    @classmethod
+    async def open(cls, path: Path, *, boot_id: str) -> Self:
+        """Open the store, or make it.
+
+        Raises:
+            UsageError: it cannot be made, is damaged, or is in use by another daemon.
+        """
+        pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="transactions")
+        try:
+            connection = await asyncio.get_running_loop().run_in_executor(pool, lambda: _open(path))
+        except BaseException:
+            pool.shutdown(wait=False)
+            raise
+        return cls(path, boot_id, pool, connection)
+
+    async def close(self) -> None:
+        """Let the file go."""
+        await asyncio.get_running_loop().run_in_executor(self._pool, self._connection.close)
+        self._pool.shutdown(wait=False)
+
+    async def note(self, request: Request) -> Noted:
+        """Note that a request is going to act, durably, unless it is known.
+
+        Raises:
+            RefusedRequestError: another request had the same transaction; or it cannot be written.
+        """
+        key, digest = _key(request), _digest(request)
+        return await self._run(lambda: self._note(key, request.command, digest))
+
+    async def answered(self, request: Request, response: str) -> None:
+        """Keep the answer, durably.
+
+        Raises:
+            RefusedRequestError: it cannot be written.
+        """
+        key = _key(request)
+
+        def write() -> None:
+            with self._connection:
+                self._connection.execute("UPDATE transactions SET response = ? WHERE id = ?", (response, key))
+                self._connection.execute(
+                    "DELETE FROM transactions WHERE number <= (SELECT MAX(number) FROM transactions) - ?", (KEPT,)
+                )
+
+        await self._run(write)
+
+    async def remember(self, key: str, value: str | None) -> None:
+        """Keep something under a name, durably; None forgets it.
+
+        Raises:
+            RefusedRequestError: it cannot be written.
+        """
+
+        def write() -> None:
+            with self._connection:
+                if value is None:
+                    self._connection.execute("DELETE FROM memory WHERE key = ?", (key,))
+                else:
+                    self._connection.execute("INSERT OR REPLACE INTO memory VALUES (?, ?)", (key, value))
+
+        await self._run(write)
+
+    async def recall(self, key: str) -> str | None:
+        """What was kept under that name."""
+
+        def read() -> str | None:
+            row = self._connection.execute("SELECT value FROM memory WHERE key = ?", (key,)).fetchone()
+            return None if row is None else str(row[0])
+
+        return await self._run(read)
+
+    def _note(self, key: str, command: str, digest: str) -> Noted:
+        with self._connection:
+            row = self._connection.execute(
+                "SELECT command, digest, boot_id, response FROM transactions WHERE id = ?", (key,)
+            ).fetchone()
+            if row is None:
+                self._connection.execute(
+                    "INSERT INTO transactions SELECT ?, ?, ?, ?, NULL, COALESCE(MAX(number), 0) + 1 FROM transactions",
+                    (key, command, digest, self._boot_id),
+                )
+                return Noted(standing="new")
+        if (row[0], row[1]) != (command, digest):
+            raise RefusedRequestError(
+                "conflict",
+                f"the transaction was used already for another request ({row[0]}): give each request its own",
+                field="transaction",
+            )
+        if row[3] is not None:
+            return Noted(standing="answered", response=str(row[3]))
+        return Noted(standing="under way" if row[2] == self._boot_id else "interrupted")
+
+    async def _run(self, work: Callable[[], T]) -> T:
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._pool, work)
+        except sqlite3.Error as error:
+            raise RefusedRequestError(
+                "storage", f"{self.path}: cannot be written ({error}); nothing was done"
+            ) from error
+
+
+def _key(request: Request) -> str:
+    return json.dumps(request.transaction)
+
+
+def _digest(request: Request) -> str:
+    fields = json.dumps(request.model_dump(mode="python"), sort_keys=True)
+    return hashlib.sha256(fields.encode()).hexdigest()
+
+
+def _open(path: Path) -> sqlite3.Connection:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        connection = sqlite3.connect(path, timeout=1.0, check_same_thread=False)
+        connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute("BEGIN EXCLUSIVE")  # takes the lock now: two daemons must not share a storage
+        connection.execute("COMMIT")
+        connection.executescript(_SCHEMA)
+    except OSError as error:
+        raise UsageError(
+            f"storage.path {path.parent}: cannot be used ({error.strerror}); give a folder that the service can write"
+        ) from error
+    except sqlite3.OperationalError as error:
+        if "locked" in str(error):
+            raise UsageError(
+                f"storage.path {path.parent}: in use by another panoexec; stop that one, or give each its own"
+            ) from error
+        raise UsageError(f"{path}: cannot be opened ({error}); give a folder that the service can write") from error
+    except sqlite3.DatabaseError as error:
+        raise UsageError(f"{path}: damaged ({error}); move it away to start afresh, missions are not in it") from error
+    return connection
