@@ -1,0 +1,238 @@
+"""The simulated vehicle as a process: how it starts, what it says, how it ends, what it leaves behind."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from panoexec.cli.app import run
+from panoexec.errors import LinkError, UsageError
+from panoexec.sim.config import SimConfig
+from panoexec.sim.dialect import mavlink
+from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.wire import attach
+
+SIMULATE = [sys.executable, "-m", "panoexec", "simulate"]
+
+
+def simulate(*options: str, timeout_s: float = 20.0) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*SIMULATE, *options], capture_output=True, text=True, timeout=timeout_s, check=False)
+
+
+@pytest.fixture
+def ground() -> Iterator[socket.socket]:
+    """A ground station's UDP socket."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        sock.settimeout(20)
+        yield sock
+
+
+def port_of(sock: socket.socket) -> str:
+    return str(sock.getsockname()[1])
+
+
+@pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 0)])
+def test_the_verb_says_how_to_connect_flies_and_ends_cleanly(
+    ground: socket.socket, tmp_path: Path, stop: signal.Signals, code: int
+) -> None:
+    options = ["--port", port_of(ground), "--output", str(tmp_path / "photos"), "--camera", "dji-x5s-15mm", "--json"]
+    with subprocess.Popen([*SIMULATE, *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        data, vehicle = ground.recvfrom(65535)
+        assert mavlink.MAVLink(None).decode(bytearray(data[: 12 + data[1]])).get_type() == "HEARTBEAT"
+        shoot = mavlink.MAVLink_command_long_message(
+            1, 100, mavlink.MAV_CMD_IMAGE_START_CAPTURE, 0, 0, 0, 1, 1, 0, 0, 0
+        )
+        ground.sendto(shoot.pack(mavlink.MAVLink(None, 1, 195)), vehicle)
+        wait_for((tmp_path / "photos" / "IMG_00001.jpg").exists)
+        children = children_of(process.pid)
+        assert children
+        process.send_signal(stop)
+        out, err = process.communicate(timeout=20)
+    assert process.returncode == code
+    document = json.loads(out)
+    assert document["connect"] == f"udpin://0.0.0.0:{port_of(ground)}"
+    assert document["connect"] in err
+    assert "1 of 1 photos written" in err
+    assert "Traceback" not in err
+    assert not any(alive(pid) for pid in children)
+    events = [
+        json.loads(line) for line in (tmp_path / "photos" / "truth.jsonl").read_text(encoding="utf-8").splitlines()
+    ]
+    assert [event["event"] for event in events] == ["start", "exposure"]
+    assert not list((tmp_path / "photos").glob(".*"))
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (["--fault", "gimbal-broken"], "unknown fault 'gimbal-broken'; known are attitude-frozen"),
+        (["--speedup", "0"], "--speedup 0: accepted is more than 0"),
+        (["--speedup", "fast"], "--speedup"),
+        (["--port", "99999"], "--port 99999: accepted are 1 to 65535"),
+        (["--camera", "no-such-camera"], "no camera profile 'no-such-camera'"),
+        (["--attach", "somewhere"], "--attach somewhere: accepted are tcp:HOST:PORT"),
+        (["--attach", "tcp:127.0.0.1:5762", "--fault", "reboot"], "--fault reboot is the autopilot's"),
+        (["--output", "/proc/nowhere"], "--output /proc/nowhere: cannot be written"),
+        (["--scene", "whatever.jpg"], "--scene needs --output"),
+        (["--set", "gimbal.speed=3"], "no such number"),
+    ],
+)
+def test_bad_options_are_one_line_and_exit_code_2(
+    options: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    port = () if "--port" in options else ("--port", str(free_udp_port()))
+    assert run(["simulate", *port, *options]) == 2
+    said = capsys.readouterr()
+    assert complaint in said.err
+    assert said.err.count("\n") == 1
+    assert said.out == ""
+
+
+@pytest.mark.parametrize(("content", "complaint"), [(b"no image", "is no image"), (None, "no such file")])
+def test_a_scene_that_is_none_is_named(tmp_path: Path, content: bytes | None, complaint: str) -> None:
+    scene = tmp_path / "scene.jpg"
+    if content is not None:
+        scene.write_bytes(content)
+    ended = simulate("--port", str(free_udp_port()), "--scene", str(scene), "--output", str(tmp_path / "out"))
+    assert ended.returncode == 2
+    assert str(scene) in ended.stderr
+    assert complaint in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
+def test_a_busy_port_to_listen_on_is_one_line_and_exit_code_3(ground: socket.socket) -> None:
+    ended = simulate("--listen", "--port", port_of(ground))
+    assert ended.returncode == 3
+    assert f"UDP port {port_of(ground)} on 127.0.0.1 is in use" in ended.stderr
+    assert ended.stderr.count("\n") == 1
+
+
+def test_listening_it_answers_whoever_talks_first() -> None:
+    port = free_udp_port()
+    with (
+        subprocess.Popen([*SIMULATE, "--listen", "--port", str(port)], stderr=subprocess.PIPE, text=True) as process,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client,
+    ):
+        assert process.stderr is not None
+        process.stderr.readline()
+        client.settimeout(10)
+        heartbeat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+        client.sendto(heartbeat.pack(mavlink.MAVLink(None, 255, 190)), ("127.0.0.1", port))
+        data = client.recv(65535)
+        process.terminate()
+        process.communicate(timeout=10)
+    assert data[0] == 0xFD
+
+
+async def test_a_program_runs_it_and_gets_its_account(tmp_path: Path) -> None:
+    config = SimConfig(port=free_udp_port(), output=tmp_path, speedup=10.0)
+    async with running_simulator(config) as simulator:
+        assert simulator.ready["output"] == str(tmp_path)
+        pid = simulator.process.pid
+        assert alive(pid)
+    assert simulator.process.returncode == 0
+    assert simulator.summary["photos"] == 0
+    assert simulator.summary["simulated_s"] > 0
+    assert not alive(pid)
+
+
+async def test_a_program_gets_its_errors_as_exceptions(tmp_path: Path, ground: socket.socket) -> None:
+    with pytest.raises(UsageError, match="no such file"):
+        async with running_simulator(SimConfig(output=tmp_path, scene=tmp_path / "none.jpg", port=free_udp_port())):
+            pass
+    with pytest.raises(LinkError, match="is in use"):
+        async with running_simulator(SimConfig(listen=True, port=ground.getsockname()[1])):
+            pass
+
+
+PARENT = """
+import asyncio, pathlib, sys
+from panoexec.sim.config import SimConfig
+from panoexec.sim.process import free_udp_port, running_simulator
+
+async def main():
+    config = SimConfig(port=free_udp_port(), output=pathlib.Path(sys.argv[1]))
+    async with running_simulator(config) as simulator:
+        print(simulator.process.pid, flush=True)
+        await asyncio.sleep(60)
+
+asyncio.run(main())
+"""
+
+
+def test_it_does_not_outlive_a_parent_that_was_killed(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", PARENT, str(tmp_path)], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        pid = int(parent.stdout.readline())
+        family = [pid, *children_of(pid)]
+        assert len(family) > 1
+        parent.kill()
+    wait_for(lambda: not any(alive(member) for member in family))
+
+
+async def test_attaching_waits_for_the_autopilot_and_gives_up() -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    with pytest.raises(LinkError, match=f"tcp:127.0.0.1:{port}: nobody answers there"):
+        await attach(f"tcp:127.0.0.1:{port}", patience_s=0.3)
+
+
+async def test_the_payload_joins_an_autopilot_again_that_restarts() -> None:
+    """A restarting SITL closes its TCP port and opens it again."""
+    connections: asyncio.Queue[tuple[asyncio.StreamReader, asyncio.StreamWriter]] = asyncio.Queue()
+    notes: list[str] = []
+    async with asyncio.timeout(30):
+        server = await asyncio.start_server(lambda r, w: connections.put_nowait((r, w)), "127.0.0.1", 0)
+        config = SimConfig(attach_url=f"tcp:127.0.0.1:{server.sockets[0].getsockname()[1]}")
+        async with running_simulator(config, note=notes.append):
+            first = await connections.get()
+            assert await heartbeats(first[0]) == {mavlink.MAV_TYPE_GIMBAL, mavlink.MAV_TYPE_CAMERA}
+            first[1].close()
+            second = await connections.get()
+            assert await heartbeats(second[0]) == {mavlink.MAV_TYPE_GIMBAL, mavlink.MAV_TYPE_CAMERA}
+        second[1].close()
+        server.close()
+        await asyncio.gather(first[1].wait_closed(), second[1].wait_closed())
+    assert any("trying to join it again" in note for note in notes)
+
+
+async def heartbeats(reader: asyncio.StreamReader) -> set[int]:
+    """The types of two components that send heartbeats."""
+    parser, kinds = mavlink.MAVLink(None), set[int]()
+    while len(kinds) < 2:
+        for message in parser.parse_buffer(await reader.read(4096)) or ():
+            if message.get_type() == "HEARTBEAT":
+                kinds.add(message.type)
+    return kinds
+
+
+def children_of(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()]
+
+
+def alive(pid: int) -> bool:
+    """Whether a process runs; one that only waits to be reaped does not."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return state != "Z"
+
+
+def wait_for(condition: Callable[[], bool], timeout_s: float = 20.0) -> None:
+    """Poll until the condition holds."""
+    end = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end, "it did not come to pass"
+        time.sleep(0.02)
