@@ -5,13 +5,17 @@ Nobody flies a real drone with this: the mission needs a vehicle that hovers alr
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Final
 
 import structlog
 from mavsdk.plugins.action import Action
 
 from panoexec.adapters.mavsdk_link import MavsdkLink
+from panoexec.adapters.message_hub import MavMessage
+from panoexec.adapters.stream_keeper import AUTOPILOT
 from panoexec.adapters.vendor import MAV_RESULTS
 from panoexec.clock import Clock
 from panoexec.devices import Vehicle
@@ -23,6 +27,12 @@ _CUSTOM_MODE: Final = 1
 _COPTER_GUIDED: Final = 4
 _STEP_S: Final = 0.5
 _HEIGHT_FRAC: Final = 0.97
+_GPS_RAW_INT: Final = 24
+_FIX_3D: Final = 3
+_LEAST_REAL_S: Final = 60.0
+"""No patience is shorter than this in real time: a sped-up simulation may not get as fast as it was told to be."""
+_MULTIROTORS: Final = frozenset({2, 3, 4, 13, 14, 15, 29})
+"""MAV_TYPE: quadrotor, coaxial, helicopter, hexa-, octo-, tri- and dodecarotor."""
 
 _log = structlog.get_logger(__name__)
 
@@ -41,28 +51,23 @@ class MavsdkPilot:
 
         Args:
             height_m: above the take-off point.
-            timeout_s: for all of it; a simulated estimator needs some 40 s after boot before it can be armed.
+            timeout_s: for each stage (GPS, estimator and arming, climbing); a simulated estimator needs some 40 s.
 
         Raises:
-            DeviceError: refused to the end, or not there in time.
+            DeviceError: refused to the end, or not there in time; with what the autopilot said.
         """
-        action = self._link.plugin(Action)
-        deadline_s = self._clock.monotonic() + timeout_s
-        await self._wait(lambda: self._vehicle.status.position_ok, deadline_s, "waiting for a position")
-        await self._must(DO_SET_MODE, [_CUSTOM_MODE, _COPTER_GUIDED], "changing to GUIDED")
-        refusal = "it did not say why"
-        while not self._vehicle.status.armed:
-            if self._clock.monotonic() > deadline_s:
-                raise DeviceError(f"arming: refused for {timeout_s:g} s; {refusal}")
-            try:
-                await self._link.vendor_call("arming", action.arm)
-            except DeviceError as error:
-                refusal = str(error)
-            await self._clock.sleep(2 * _STEP_S)
-        await self._must(NAV_TAKEOFF, [0, 0, 0, 0, 0, 0, height_m], "taking off")
-        await self._wait(
-            lambda: self._vehicle.status.relative_altitude_m >= _HEIGHT_FRAC * height_m, deadline_s, "climbing"
-        )
+        kind, _ = self._link.components.get(AUTOPILOT, (-1, 0.0))
+        if kind not in _MULTIROTORS:
+            raise DeviceError(
+                f"the vehicle is no multirotor (MAV_TYPE {kind}); only one of those hovers for a panorama"
+            )
+        with self._listening() as said:
+            await self._wait_gps(timeout_s)
+            await self._must(DO_SET_MODE, [_CUSTOM_MODE, _COPTER_GUIDED], "changing to GUIDED")
+            await self._arm(timeout_s, said)
+            await self._must(NAV_TAKEOFF, [0, 0, 0, 0, 0, 0, height_m], "taking off")
+            enough_m = _HEIGHT_FRAC * height_m
+            await self._wait(lambda: self._vehicle.status.relative_altitude_m >= enough_m, timeout_s, "climbing")
         _log.info("hovering", height_m=self._vehicle.status.relative_altitude_m)
 
     async def go_to(
@@ -92,16 +97,72 @@ class MavsdkPilot:
         """
         action = self._link.plugin(Action)
         await self._link.vendor_call("landing", action.land)
-        deadline_s = self._clock.monotonic() + timeout_s
-        await self._wait(lambda: not self._vehicle.status.armed, deadline_s, "landing")
+        await self._wait(lambda: not self._vehicle.status.armed, timeout_s, "landing")
 
     async def _must(self, command: int, params: list[float], what: str) -> None:
         result = await self._link.command(command, params)
         if result != 0:
             raise DeviceError(f"{what}: {MAV_RESULTS.get(result, result)}")
 
-    async def _wait(self, done: Callable[[], bool], deadline_s: float, what: str) -> None:
-        while not done():
-            if self._clock.monotonic() > deadline_s:
-                raise DeviceError(f"{what}: not done in time")
+    @contextmanager
+    def _listening(self) -> Iterator[list[str]]:
+        """What the autopilot says of why it may not be armed, the newest of each last."""
+        said: list[str] = []
+
+        def hear(message: MavMessage) -> None:
+            text = str(message.fields.get("text", "")).strip()
+            if message.component_id == AUTOPILOT and text.startswith(("Arm: ", "PreArm: ")):
+                said[:] = [*(known for known in said if known != text), text][-3:]
+
+        off = self._link.on("STATUSTEXT", hear)
+        try:
+            yield said
+        finally:
+            off()
+
+    async def _wait_gps(self, timeout_s: float) -> None:
+        patience = _Patience(self._clock, timeout_s)
+        fix = 0
+        while fix < _FIX_3D:
+            if patience.is_over:
+                raise DeviceError(f"no GPS fix within {timeout_s:g} s (fix type {fix}, 3 is needed)")
+            try:
+                fix = int((await self._link.request_message(_GPS_RAW_INT, "GPS_RAW_INT")).fields["fix_type"])
+            except DeviceError as error:
+                _log.debug("no word of the GPS yet", error=str(error))
             await self._clock.sleep(_STEP_S)
+
+    async def _arm(self, timeout_s: float, said: list[str]) -> None:
+        patience = _Patience(self._clock, timeout_s)
+        action = self._link.plugin(Action)
+        refusal = ""
+        while not self._vehicle.status.armed:
+            if patience.is_over:
+                why = "; ".join(said) or refusal or "it did not say why"
+                raise DeviceError(f"the autopilot could not be armed within {timeout_s:g} s: {why}")
+            try:
+                await self._link.vendor_call("arming", action.arm)
+            except DeviceError as error:
+                refusal = str(error)
+            await self._clock.sleep(2 * _STEP_S)
+
+    async def _wait(self, done: Callable[[], bool], timeout_s: float, what: str) -> None:
+        patience = _Patience(self._clock, timeout_s)
+        while not done():
+            if patience.is_over:
+                raise DeviceError(f"{what}: not done within {timeout_s:g} s")
+            await self._clock.sleep(_STEP_S)
+
+
+class _Patience:
+    """A time limit on the mission's clock, but never a short one in real time."""
+
+    def __init__(self, clock: Clock, timeout_s: float) -> None:
+        self._clock = clock
+        self._end_s = clock.monotonic() + timeout_s
+        self._end_real_s = time.monotonic() + min(timeout_s, _LEAST_REAL_S)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it has been long enough."""
+        return self._clock.monotonic() > self._end_s and time.monotonic() > self._end_real_s
