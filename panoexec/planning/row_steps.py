@@ -1,0 +1,111 @@
+"""How high the next row can stand: the greatest pitch at which a pair of rows still has a wanted margin.
+
+A rough margin gives a first answer, and a few exact ones set it right; what the rough one overlooks (coverage) and what
+does not settle is looked for by exact margins alone. So nearly all of the work is rough and all of the answers exact.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from panoexec.angles import FloatArray
+from panoexec.planning.roots import last_nonnegative
+from panoexec.planning.row_layout import IntArray
+from panoexec.planning.row_pairs import COARSE, FINE, Grain, PairMargin, Pairs
+
+_ROUGH_PRECISION = 2e-3
+_PRECISION = 1e-3
+"""Of pitches, in vertical fields of view."""
+
+_CLOSE = 0.02
+"""Exact margins this far from the wanted one are worth a Newton step."""
+
+_SETTLED = 3e-4
+
+
+def highest_pitch(
+    margin: PairMargin, pairs: Pairs, start: FloatArray, stop: FloatArray, wanted: FloatArray, height_deg: float
+) -> FloatArray:
+    """The greatest pitch of the higher rows with which pairs have a wanted margin.
+
+    Args:
+        margin: of pairs of rows.
+        pairs: the rows; the pitches of the higher ones are not looked at.
+        start: (k,) least pitch of the higher rows.
+        stop: (k,) greatest.
+        wanted: (k,) margins.
+        height_deg: vertical field of view.
+
+    Returns:
+        (k,), NaN where there is none.
+    """
+    if not len(pairs):
+        return np.empty(0)
+    rough = _Surplus(margin, pairs, wanted, COARSE)
+    exact = _Surplus(margin, pairs, wanted, FINE)
+    guess = last_nonnegative(rough, start, stop, _ROUGH_PRECISION * height_deg, 6)
+    guess = np.where(np.isnan(guess), start, guess)
+    best = np.full(len(pairs), np.nan)
+    which: IntArray = np.arange(len(pairs))
+    value = exact(which, guess)
+    best[value >= 0] = guess[value >= 0]
+    unsettled = (np.abs(value) > _SETTLED) & ~((value > 0) & (guess >= stop)) & (np.abs(value) < _CLOSE)
+    if unsettled.any():
+        _settle(rough, exact, which[unsettled], guess[unsettled], value[unsettled], start, stop, best, height_deg)
+    missing = np.nonzero(np.isnan(best))[0]
+    if len(missing):
+        best[missing] = last_nonnegative(
+            lambda index, high_deg: exact(missing[index], high_deg),
+            start[missing],
+            np.maximum(guess[missing], start[missing]),
+            _PRECISION * height_deg,
+            8,
+        )
+    return best
+
+
+class _Surplus:
+    """By how much pairs exceed the wanted margins, as a function of the higher rows' pitches."""
+
+    def __init__(self, margin: PairMargin, pairs: Pairs, wanted: FloatArray, grain: Grain) -> None:
+        self._margin = margin
+        self._pairs = pairs
+        self._wanted = wanted
+        self._grain = grain
+
+    def __call__(self, which: IntArray, high_deg: FloatArray) -> FloatArray:
+        pairs = self._pairs.at(which, high_deg)
+        if self._grain.exact:
+            margins = self._margin.margins(pairs, self._grain)
+        else:
+            margins = self._margin.shared(pairs, self._grain)
+        return np.asarray(margins.max(axis=1) - self._wanted[which])
+
+
+def _settle(
+    rough: _Surplus,
+    exact: _Surplus,
+    which: IntArray,
+    x: FloatArray,
+    value: FloatArray,
+    start: FloatArray,
+    stop: FloatArray,
+    best: FloatArray,
+    height_deg: float,
+) -> None:
+    """Newton and secant steps from pitches near the wanted ones; puts good ones into `best`."""
+    nudge = 0.02 * height_deg
+    slope = np.minimum((rough(which, x) - rough(which, x - nudge)) / nudge, -0.1 / height_deg)
+    for _ in range(2):
+        # aim a little low, so that the answer is on the good side
+        following = np.clip(x + (value - _SETTLED / 3) / -slope, start[which], stop[which])
+        new = exact(which, following)
+        good = (new >= 0) & ~(best[which] >= following)
+        best[which[good]] = following[good]
+        moved = np.abs(following - x) > 1e-9
+        slope = np.where(moved, (new - value) / np.where(moved, following - x, 1.0), slope)
+        slope = np.minimum(slope, -0.1 / height_deg)
+        again = ((new < 0) | (new > _SETTLED)) & moved & ~((new > 0) & (following >= stop[which]))
+        which, x, value, slope = which[again], following[again], new[again], slope[again]
+        if not len(which):
+            break
