@@ -22,6 +22,7 @@ from panoexec.adapters.attitude_messages import (
     number,
     told_heading_deg,
     vehicle_attitude,
+    yaw_frame,
 )
 from panoexec.adapters.gimbal_heading import HeadingBlend
 from panoexec.adapters.mavsdk_link import MavsdkLink
@@ -93,6 +94,7 @@ class MavsdkGimbal:
         self._frame = _FRAMES.get(feedback) if feedback else None
         self._buffer = AttitudeBuffer(autopilot_component=AUTOPILOT)
         self._heading = HeadingBlend()
+        self._stated = YawFrame.VEHICLE
         self._found: GimbalFound | None = None
         self._limits: GimbalLimits | None = None
         self._control: ControlStatus | None = None
@@ -251,6 +253,7 @@ class MavsdkGimbal:
         heading_deg = math.nan
         if message.component_id != AUTOPILOT:
             heading_deg = self._heading.gimbal(told_heading_deg(message.fields), message.received_s)
+        self._stated = yaw_frame(int(message.fields["flags"]))
         sample = gimbal_sample(message.fields, message.received_s, self._frame, heading_deg=heading_deg)
         self._buffer.put_sample(sample, message.component_id)
         if self._buffer.source_component != before:
@@ -314,8 +317,7 @@ class MavsdkGimbal:
         """Which feedback the mount gives; ArduPilot states the vehicle's frame even for what is none (see docs)."""
         if self._feedback_wanted is not None:
             return self._feedback_wanted
-        sample = self._buffer.latest
-        stated: Feedback = "earth" if sample is not None and sample.yaw_frame is YawFrame.EARTH else "vehicle"
+        stated: Feedback = "earth" if self._stated is YawFrame.EARTH else "vehicle"
         if not self._link.is_ardupilot or self._buffer.source_component != AUTOPILOT:
             return stated
         kind = await self._link.parameter(f"MNT{max(device_id, 1)}_TYPE")
