@@ -35,11 +35,12 @@ BACKOFF_MOST_S: Final = 30.0
 _STEADY_S: Final = 10.0
 _CONNECT_S: Final = 10.0
 _PULSE_S: Final = 2.0
+_FAREWELL_S: Final = 1.0
 _SESSION_EXPIRY_S: Final = 30
 _INCOMING: Final = 500
 _LARGEST_PACKET: Final = 16 * 2**20
 _BATCH: Final = 16
-_TAKEN_OVER: Final = 142
+_SUSPICIOUS: Final = 2
 _REFUSED: Final = 128
 
 _log = structlog.get_logger(__name__)
@@ -139,6 +140,7 @@ class MqttLink:
         self._times = 0
         self._stopping = asyncio.Event()
         self._said = ""
+        self._short = 0
 
     # --- out
 
@@ -173,11 +175,11 @@ class MqttLink:
             try:
                 await self._session()
             except (aiomqtt.MqttError, PanoexecError, OSError, TimeoutError, ValueError) as error:
-                self._lost(error)
                 if time.monotonic() - began > _STEADY_S:
-                    patience_s = self._backoff_s
-                if _taken_over(error):
-                    patience_s = BACKOFF_MOST_S
+                    patience_s, self._short = self._backoff_s, 0
+                elif self.connected:
+                    self._short += 1  # a broker ends the connection of a client when a second one comes with its name
+                self._lost(error)
             finally:
                 self.connected = False
             if self._stopping.is_set():
@@ -201,12 +203,21 @@ class MqttLink:
             await self._until_stop(stack.enter_async_context(client))
             await self._subscribe(client)
             self._times += 1
-            self._said, self.reason, self.connected = "", "", True
+            self.reason, self.connected = "", True
             _log.info("broker connected", host=self._settings.host, port=self._settings.port, topic=self.topics.base)
             await client.publish(self.topics.status, ONLINE, qos=1, retain=True)
             self.outbox.renew()
             self._on_connected()
-            await self._talk(client)
+            try:
+                await self._talk(client)
+            except aiomqtt.MqttError as error:
+                raise _with_reason(client, error) from error
+            except asyncio.CancelledError:
+                # the client says goodbye to the broker, which then keeps the will to itself
+                with contextlib.suppress(aiomqtt.MqttError, TimeoutError):
+                    async with asyncio.timeout(_FAREWELL_S):
+                        await client.publish(self.topics.status, OFFLINE, qos=1, retain=True)
+                raise
 
     async def _until_stop(self, connecting: object) -> None:
         """Connect, but do not keep a stop waiting."""
@@ -356,8 +367,8 @@ class MqttLink:
 
     def _lost(self, error: Exception) -> None:
         text = str(error) or type(error).__name__
-        if _taken_over(error):
-            text = f"another client took over our name: do two daemons have the vehicle id {self._vehicle!r}?"
+        if self._short >= _SUSPICIOUS:
+            text = f"each connection ends at once: do two daemons have the vehicle id {self._vehicle!r}? ({text})"
         self.reason = text
         if text != self._said:
             _log.warning("no broker", host=self._settings.host, port=self._settings.port, error=text)
@@ -382,9 +393,11 @@ class _Inbox(asyncio.Queue[aiomqtt.Message]):
         super()._put(item)
 
 
-def _taken_over(error: Exception) -> bool:
-    code = getattr(error, "rc", None)
-    return getattr(code, "value", code) == _TAKEN_OVER
+def _with_reason(client: aiomqtt.Client, error: aiomqtt.MqttError) -> aiomqtt.MqttError:
+    """The error with the broker's reason for the end of the connection, which the client keeps to itself."""
+    ended = client._disconnected  # noqa: SLF001
+    reason = ended.exception() if ended.done() and not ended.cancelled() else None
+    return reason if isinstance(reason, aiomqtt.MqttError) else error
 
 
 def _is_topic_part(text: str) -> bool:

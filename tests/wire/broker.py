@@ -1,0 +1,84 @@
+"""A real mosquitto on a free port, started, stopped and restarted by tests."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import shutil
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PATH = os.environ.get("PATH", "") + os.pathsep + "/usr/sbin" + os.pathsep + "/usr/local/sbin"
+MOSQUITTO = shutil.which("mosquitto", path=PATH)
+
+needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed (apt-get install mosquitto)")
+
+
+def free_tcp_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class Broker:
+    """One mosquitto with a configuration of its own; what it says is in `log`."""
+
+    def __init__(self, folder: Path, *, listener: str = "", settings: str = "allow_anonymous true") -> None:
+        self.port = free_tcp_port()
+        self.log = folder / "mosquitto.log"
+        self._config = folder / "mosquitto.conf"
+        user = "user root\n" if os.geteuid() == 0 else ""
+        self._config.write_text(
+            f"listener {self.port} 127.0.0.1\n{listener}\n{user}persistence false\n"
+            f"max_inflight_messages 0\nmax_queued_messages 100000\n{settings}\n"
+        )
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Start it and wait until it listens."""
+        assert MOSQUITTO is not None
+        with self.log.open("ab") as log:
+            self._process = subprocess.Popen([MOSQUITTO, "-c", str(self._config), "-v"], stdout=log, stderr=log)
+        deadline = time.monotonic() + 10
+        while time.monotonic() < deadline:
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port), timeout=1):
+                return
+            if self._process.poll() is not None:
+                break
+            time.sleep(0.01)
+        raise AssertionError(f"mosquitto did not start: {self.log.read_text()}")
+
+    def stop(self, *, kill: bool = False) -> None:
+        """Stop it; `kill` as a crash does."""
+        if self._process is not None:
+            if kill:
+                self._process.kill()
+            else:
+                self._process.terminate()
+            self._process.wait(10)
+            self._process = None
+
+
+@contextlib.contextmanager
+def running_broker(folder: Path, *, listener: str = "", settings: str = "allow_anonymous true") -> Iterator[Broker]:
+    """A broker while the block runs."""
+    broker = Broker(folder, listener=listener, settings=settings)
+    broker.start()
+    try:
+        yield broker
+    finally:
+        broker.stop(kill=True)
+
+
+async def eventually(condition: object, timeout_s: float = 10.0) -> None:
+    """Return once the condition, a function without arguments, holds."""
+    assert callable(condition)
+    async with asyncio.timeout(timeout_s):
+        while not condition():  # noqa: ASYNC110
+            await asyncio.sleep(0.01)
