@@ -1,6 +1,6 @@
 """Kill -9 at random moments of a mission on the embedded vehicle, which flies on; each time the mission is resumed.
 
-`PANOEXEC_KILLS` sets how many kills there are in all (default 4); they are spread over missions of up to `PER_MISSION`.
+`PANOEXEC_KILLS` sets how many kills there are in all (default 2); they are spread over missions of up to `PER_MISSION`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from panoexec.states import MissionState
 
 pytest.importorskip("pymavlink")
 
-KILLS = int(os.environ.get("PANOEXEC_KILLS", "4"))
+KILLS = int(os.environ.get("PANOEXEC_KILLS", "2"))
 PER_MISSION = 4
 SPEEDUP = 1.0
 SHOTS = 10
