@@ -34,7 +34,6 @@ class CameraTrigger:
             mavlink.MAV_CMD_IMAGE_START_CAPTURE,
             mavlink.MAV_CMD_IMAGE_STOP_CAPTURE,
             mavlink.MAV_CMD_DO_DIGICAM_CONTROL,
-            mavlink.MAV_CMD_SET_CAMERA_MODE,
         }
     )
 
@@ -54,6 +53,7 @@ class CameraTrigger:
         self._faults = faults
         self._develop = develop
         self._count = 0
+        self._last_feedback = mavlink.MAVLink_camera_feedback_message(*(0,) * 13, 0)
         self._boot_ms: Callable[[], int] = lambda: 0
         self._airframe: Airframe | None = None
         self._send: Callable[[Message], None] = lambda _: None
@@ -71,7 +71,7 @@ class CameraTrigger:
             mavlink.MAVLINK_MSG_ID_CAMERA_INFORMATION: self._information,
             mavlink.MAVLINK_MSG_ID_CAMERA_SETTINGS: self._settings,
             mavlink.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS: self._capture_status,
-            mavlink.MAVLINK_MSG_ID_CAMERA_FEEDBACK: lambda: None,
+            mavlink.MAVLINK_MSG_ID_CAMERA_FEEDBACK: lambda: self._last_feedback,
         }
 
     def command(self, command: Command) -> int | None:
@@ -90,7 +90,7 @@ class CameraTrigger:
         self.model.shoot()
         slip_if_drifting(self._faults, self._physics)
         if not self._faults.photo("capture-lost"):
-            message = self._feedback()
+            message = self._last_feedback = self._feedback()
             self._send(message)
             if self._faults.photo("capture-twice"):
                 self._timeline.after(0.2, lambda: self._send(message))
@@ -143,7 +143,7 @@ class CameraTrigger:
             0,
             0,
             0,
-            mavlink.CAMERA_CAP_FLAGS_CAPTURE_IMAGE,
+            0,
             0,
             b"",
             gimbal_device_id=1,

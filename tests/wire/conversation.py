@@ -2,7 +2,8 @@
 
 Record: `python -m tests.wire.conversation PORT FILE`, with ArduCopter SITL sending to that UDP port, standing on the
 ground, `MNT1_TYPE 6`, `MNT1_DEFLT_MODE 2`, `CAM1_TYPE 0`, `CAM2_TYPE 0`, and `panoexec simulate --attach` joined to it
-for at least 20 s.
+for at least 20 s. With `--servo` behind, the one of servos: `MNT1_TYPE 1`, `CAM1_TYPE 1`, `SERVO9_FUNCTION` to
+`SERVO12_FUNCTION` 8, 7, 6 and 10, `MNT1_PITCH_MIN -90`, `MNT1_PITCH_MAX 45`, and nothing attached.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +35,24 @@ FIELDS: dict[str, tuple[str, ...]] = {
         "secondary_control_compid",
     ),
     "GIMBAL_DEVICE_ATTITUDE_STATUS": ("target_system", "target_component", "flags", "gimbal_device_id"),
+    "CAMERA_INFORMATION": ("flags", "resolution_h", "resolution_v", "gimbal_device_id", "lens_id"),
+    "CAMERA_FEEDBACK": ("target_system", "cam_idx", "img_idx", "flags", "foc_len"),
+    "CAMERA_CAPTURE_STATUS": ("image_status", "video_status", "image_count"),
+    "CAMERA_SETTINGS": ("mode_id",),
     "MESSAGE_INTERVAL": ("message_id", "interval_us"),
 }
 """What is compared of a message; of others only that they come."""
 
-_IGNORED = {"HEARTBEAT", "TIMESYNC", "STATUSTEXT", "COMMAND_ACK", "SYSTEM_TIME"}
+_IGNORED = {
+    "HEARTBEAT",
+    "GPS_GLOBAL_ORIGIN",
+    "HOME_POSITION",
+    "PARAM_VALUE",
+    "TIMESYNC",
+    "STATUSTEXT",
+    "COMMAND_ACK",
+    "SYSTEM_TIME",
+}
 
 ASKED: list[tuple[str, int, Any]] = [
     *[(f"request {m}", 1, command(REQUEST, m)) for m in (280, 281, 283, 285, 30, 33, 245, 148, 397)],
@@ -72,10 +86,26 @@ ASKED: list[tuple[str, int, Any]] = [
 ]
 
 
-def hold(peer: Peer) -> Iterator[dict[str, Any]]:
+ASKED_SERVO: list[tuple[str, int, Any]] = [
+    *[(f"request {m}", 1, command(REQUEST, m)) for m in (280, 281, 283, 285, 259, 260, 261, 262, 180)],
+    ("interval of 285", 1, command(INTERVAL, 285, 20_000)),
+    ("take control", 1, command(CONFIGURE, -2, -2, -1, -1, 0, 0, 0)),
+    ("angles, locked", 1, command(PITCHYAW, -30, 60, NAN, NAN, LOCK, 0, 1)),
+    ("angles, following", 1, command(PITCHYAW, -30, 10, NAN, NAN, 0, 0, 0)),
+    ("pitch beyond the limit", 1, command(PITCHYAW, 60, 0, NAN, NAN, LOCK, 0, 0)),
+    ("photo", 1, command(mavlink.MAV_CMD_IMAGE_START_CAPTURE, 0, 0, 1, 1)),
+    ("photo the old way", 1, command(mavlink.MAV_CMD_DO_DIGICAM_CONTROL, 0, 0, 0, 0, 1)),
+    ("photo mode", 1, command(mavlink.MAV_CMD_SET_CAMERA_MODE, 0, 0)),
+    ("stop photos", 1, command(mavlink.MAV_CMD_IMAGE_STOP_CAPTURE)),
+    ("count of photos", 1, command(REQUEST, 262)),
+]
+"""For `MNT1_TYPE` 1 (servos) and `CAM1_TYPE` 1 (servo)."""
+
+
+def hold(peer: Peer, asked: Sequence[tuple[str, int, Any]] = ASKED) -> Iterator[dict[str, Any]]:
     """Hold the conversation; what came of each step."""
     yield {"step": "silence", "ack": None, "messages": _messages(peer.listen(3.0))}
-    for step, component, message in ASKED:
+    for step, component, message in asked:
         peer.listen(0.05)
         peer.send(message)
         heard = peer.listen(0.45)
@@ -86,6 +116,19 @@ def hold(peer: Peer) -> Iterator[dict[str, Any]]:
         stamps = [h.message.time_boot_ms for h in heard if h.name == name and h.component == 1]
         rates[name] = round(1000 * (len(stamps) - 1) / (stamps[-1] - stamps[0])) if len(stamps) > 1 else 0
     yield {"step": "rates", "ack": None, "messages": {}, "rates_hz": rates}
+    yield _reboot(peer)
+
+
+def _reboot(peer: Peer) -> dict[str, Any]:
+    """Restart the autopilot; what it sends in the three seconds after its first new heartbeat."""
+    message = command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1)
+    peer.send(message)
+    ack = result_of(peer.listen(0.3), message.command)
+    peer.listen(0.3)
+    for _ in range(60):
+        if any(item.name == "HEARTBEAT" and item.component == 1 for item in peer.listen(0.5)):
+            break
+    return {"step": "reboot", "ack": ack, "messages": _messages(peer.listen(3.0))}
 
 
 def _messages(heard: list[Any]) -> dict[str, dict[str, float]]:
@@ -101,7 +144,8 @@ def _messages(heard: list[Any]) -> dict[str, dict[str, float]]:
 def main() -> None:
     peer, path = UdpPeer(int(sys.argv[1])), Path(sys.argv[2])
     peer.listen(1.5)
-    lines = [json.dumps(step) for step in hold(peer)]
+    asked = ASKED_SERVO if "--servo" in sys.argv else ASKED
+    lines = [json.dumps(step) for step in hold(peer, asked)]
     path.write_text("\n".join(lines) + "\n")
 
 

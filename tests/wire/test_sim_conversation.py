@@ -2,41 +2,48 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import pytest
 
-from tests.wire.conversation import hold
+from panoexec.sim.config import GimbalConfig, SimConfig
+from tests.wire.conversation import ASKED, ASKED_SERVO, hold
 from tests.wire.sim_peer import EmbeddedPeer
 
 Steps: TypeAlias = dict[str, dict[str, Any]]
 
-RECORDED = Path(__file__).parents[1] / "data" / "arducopter-conversation.jsonl"
+DATA = Path(__file__).parents[1] / "data"
+LIMITED = dataclasses.replace(GimbalConfig(), pitch=dataclasses.replace(GimbalConfig().pitch, max_deg=45.0))
+VEHICLES = {
+    "arducopter-conversation": (ASKED, SimConfig()),
+    "arducopter-conversation-servo": (ASKED_SERVO, SimConfig(mount="servo", camera_kind="servo", gimbal=LIMITED)),
+}
 
 
-@pytest.fixture(scope="module")
-def said() -> Steps:
-    """What the embedded vehicle says at each step."""
-    return {step["step"]: step for step in hold(EmbeddedPeer())}
-
-
-@pytest.fixture(scope="module")
-def recorded() -> Steps:
-    lines = RECORDED.read_text(encoding="utf-8").splitlines()
+@cache
+def recorded(name: str) -> Steps:
+    """What the real autopilot said at each step."""
+    lines = (DATA / f"{name}.jsonl").read_text(encoding="utf-8").splitlines()
     return {step["step"]: step for step in map(json.loads, lines)}
 
 
-def _steps() -> list[str]:
-    return [json.loads(line)["step"] for line in RECORDED.read_text(encoding="utf-8").splitlines()]
+@cache
+def said(name: str) -> Steps:
+    """What the embedded vehicle says at each step."""
+    asked, config = VEHICLES[name]
+    return {step["step"]: step for step in hold(EmbeddedPeer(config), asked)}
 
 
-def test_the_recording_is_of_the_same_conversation(said: Steps, recorded: Steps) -> None:
-    assert list(said) == list(recorded)
-    assert len(recorded) > 30
+@pytest.mark.parametrize("name", VEHICLES)
+def test_the_recording_is_of_the_same_conversation(name: str) -> None:
+    assert list(said(name)) == list(recorded(name))
+    assert len(recorded(name)) >= len(VEHICLES[name][0]) + 2
 
 
-@pytest.mark.parametrize("step", _steps())
-def test_answers_as_the_real_autopilot_did(step: str, said: Steps, recorded: Steps) -> None:
-    assert said[step] == recorded[step]
+@pytest.mark.parametrize(("name", "step"), [(name, step) for name in VEHICLES for step in recorded(name)])
+def test_answers_as_the_real_autopilot_did(name: str, step: str) -> None:
+    assert said(name)[step] == recorded(name)[step]
