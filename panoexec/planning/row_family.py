@@ -25,20 +25,30 @@ _STEPS = 60
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NeighbourDemand:
-    """What neighbours in a row have to share: at the planned poses, and whatever the errors (0: nothing)."""
+    """What images of one row have to share, as fractions of an image.
+
+    Attributes:
+        planned: neighbours, at the planned poses.
+        worst: neighbours, whatever the errors; 0 for nothing.
+        second: images two apart, whatever the errors; 0 for nothing.
+        tolerance: the errors.
+    """
 
     planned: float
     worst: float
     tolerance: Tolerance
+    second: float = 0.0
 
     def surplus(self, camera: Camera, pitch_deg: FloatArray, spacing_deg: FloatArray) -> FloatArray:
         """How much more images of pitch (k,) share than they have to, when (k,) apart."""
-        surplus = neighbour_overlap(camera, pitch_deg, spacing_deg, NO_TOLERANCE)
-        if self.tolerance.is_zero:
-            return surplus - max(self.planned, self.worst) - HAIR
-        surplus = surplus - self.planned
+        surplus = neighbour_overlap(camera, pitch_deg, spacing_deg, NO_TOLERANCE) - self.planned
         if self.worst > 0:
-            surplus = np.minimum(surplus, neighbour_overlap(camera, pitch_deg, spacing_deg, self.tolerance) - self.worst)
+            surplus = np.minimum(
+                surplus, neighbour_overlap(camera, pitch_deg, spacing_deg, self.tolerance) - self.worst
+            )
+        if self.second > 0:
+            twice = np.minimum(2 * spacing_deg, 180.0)
+            surplus = np.minimum(surplus, neighbour_overlap(camera, pitch_deg, twice, self.tolerance) - self.second)
         return surplus - HAIR
 
 
@@ -48,39 +58,29 @@ class NeighbourSpacing:
     def __init__(self, camera: Camera, demand: NeighbourDemand) -> None:
         self._camera = camera
         self._demand = demand
-        self._precision = 1e-7 if demand.worst == 0 or demand.tolerance.is_zero else 1e-4
-
-    def surplus(self, pitch_deg: FloatArray, spacing_deg: FloatArray) -> FloatArray:
-        """See `NeighbourDemand.surplus`."""
-        return self._demand.surplus(self._camera, pitch_deg, spacing_deg)
+        costly = max(demand.worst, demand.second) > 0 and not demand.tolerance.is_zero
+        self._precision = 1e-4 if costly else 1e-7
 
     def widest(self, pitch_deg: FloatArray) -> FloatArray:
         """The widest spacing allowed at pitches (...), degrees, a hair on the safe side; 0 where none is."""
         steepness, widest = self._table
         return np.asarray(np.interp(np.abs(pitch_deg), steepness, widest) * (1 - 1e-4))
 
-    @cached_property
-    def most_images(self) -> int:
-        """The number of images that closes a row at any pitch; `MOST_IN_A_ROW` if not even that many do."""
+    def most_images(self, around_deg: float) -> int:
+        """How many neighbours' spacings fill so many degrees at any pitch, at most `MOST_IN_A_ROW`."""
         at_horizon = float(self._widest_spacing(np.zeros(1))[0])
-        return MOST_IN_A_ROW if at_horizon * MOST_IN_A_ROW <= 360 else math.ceil(360 / at_horizon)
+        return MOST_IN_A_ROW if at_horizon * MOST_IN_A_ROW <= around_deg else math.ceil(around_deg / at_horizon)
 
-    @cached_property
-    def least_steep_deg(self) -> FloatArray:
-        """For each number of images from 0 to `most_images`, the least |pitch| at which that many close a row.
-
-        90 where only a cap would; never NaN.
-        """
-        counts = np.arange(2, self.most_images + 1)
-        spacing = 360.0 / counts
+    def least_steep_deg(self, spacing_deg: FloatArray) -> FloatArray:
+        """The least |pitch| at which neighbours may be so far apart (k,); 90 where they never may, NaN for none."""
         flatness = last_nonnegative(
-            lambda which, x: self.surplus(90.0 - x, spacing[which]),
-            np.full(len(counts), 0.1),
-            np.full(len(counts), 90.0),
+            lambda which, x: self._demand.surplus(self._camera, 90.0 - x, spacing_deg[which]),
+            np.full(len(spacing_deg), 0.1),
+            np.full(len(spacing_deg), 90.0),
             self._precision,
             _STEPS,
         )
-        return np.concatenate([[90.0, 90.0], np.where(np.isnan(flatness), 90.0, 90.0 - flatness)])
+        return np.where(np.isnan(flatness), 90.0, 90.0 - flatness)
 
     @cached_property
     def _table(self) -> tuple[FloatArray, FloatArray]:
@@ -90,7 +90,7 @@ class NeighbourSpacing:
     def _widest_spacing(self, steepness_deg: FloatArray) -> FloatArray:
         count = len(steepness_deg)
         found = last_nonnegative(
-            lambda which, spacing: self.surplus(steepness_deg[which], spacing),
+            lambda which, spacing: self._demand.surplus(self._camera, steepness_deg[which], spacing),
             np.full(count, 360.0 / MOST_IN_A_ROW),
             np.full(count, 180.0),
             self._precision,

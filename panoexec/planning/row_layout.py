@@ -1,9 +1,9 @@
-"""Where the images of one row stand: all round, around a part that the gimbal cannot pan to, or over a sector."""
+"""Where the images of one row stand: all round, around what the gimbal cannot pan to, or over a sector."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,85 +17,148 @@ Widest = Callable[[FloatArray], FloatArray]
 """The widest spacing of neighbours allowed at pitches (k,), degrees."""
 
 _HAIR_DEG = 1e-9
+_NO_REACH_DEG = 181.0
 
 
 class RowLayout:
     """How many images of a row stand how far apart, and where.
 
+    The gimbal's pan range leaves a *blind* arc of yaws. Where it lies inside the band's azimuths, two neighbours stand at
+    its ends, or further apart, and bridge it; where it cuts off an end of a sector, the outer image stands at its edge.
+
     Attributes:
         closed: whether rows close on themselves (the band is a full circle).
         span_deg: of the band in azimuth.
-        blind_deg: the largest part of the band's azimuths within it that no image's yaw can have.
+        blind_deg: of the blind arc as far as it lies inside the band's azimuths; 0 for none.
     """
 
     def __init__(self, constraints: Constraints, widest: Widest) -> None:
         band = constraints.band
         self._widest = widest
-        self._middle_deg = (band.azimuth_min_deg + band.azimuth_max_deg) / 2
+        self._start_deg = band.azimuth_min_deg
         self.closed = band.is_full_circle
         self.span_deg = min(band.azimuth_span_deg, 360.0)
-        self._blind_from, self.blind_deg = _blind_arc(constraints.gimbal)
-        self._left, self._right = 0.0, 0.0
+        self._blind_from_deg, self.blind_deg = _blind_arc(constraints.gimbal)
+        self._left_deg = self._right_deg = 0.0
         if not self.closed and self.blind_deg > 0:
-            self._place_sector()
+            self._meet_sector()
+        self._around_blind = lru_cache(maxsize=None)(self._sector_around_blind)
 
     @property
     def is_even(self) -> bool:
         """Whether rows are evenly spaced and free to turn."""
         return self.closed and self.blind_deg == 0
 
+    @property
+    def reachable(self) -> bool:
+        """Whether any yaw of the band's azimuths can be had."""
+        return self._left_deg < self.span_deg
+
+    def closing_spacing_deg(self, count: IntArray) -> FloatArray:
+        """The widest spacing (k,) of closed rows of (k,) images that the gimbal can pan to, the blind arc left out."""
+        even = 360.0 / count
+        return np.where(even >= self.blind_deg, even, (360.0 - self.blind_deg) / np.maximum(count - 1, 1))
+
     def spacing_and_reach(self, pitch_deg: FloatArray, count: IntArray) -> tuple[FloatArray, FloatArray]:
         """Widest yaw between neighbours and largest azimuth to be covered from the nearest image's own, each (k,)."""
         if self.closed:
-            even = 360.0 / count
-            spacing = np.maximum(even, np.where(count > 1, self.blind_deg, 0.0)) if self.blind_deg else even
-            return spacing, spacing / 2
+            spacing = np.maximum(360.0 / count, np.where(count > 1, self.blind_deg, 0.0))
+            return spacing, np.where((count == 1) | (self.blind_deg == 0), 180.0 / count, spacing / 2)
+        if self.blind_deg > 0:
+            places = [self._around_blind(c) for c in count.tolist()]
+            spacing = np.array(
+                [
+                    max(step, self.blind_deg) if c > 1 else 0.0
+                    for (step, _), c in zip(places, count.tolist(), strict=True)
+                ]
+            )
+            reach = np.array([r for _, r in places])
+            allowed = self._widest(pitch_deg)
+            return spacing, np.where((spacing <= allowed) | (count == 1), reach, _NO_REACH_DEG)
         spacing, left, right = self._sector(pitch_deg, count)
         return spacing, np.maximum(np.maximum(left, right), spacing / 2)
-
-    def _sector(self, pitch_deg: FloatArray, count: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Spacing and the distances of the outer images from the sector's ends, each (k,)."""
-        gaps = np.maximum(count - 1, 1)
-        spacing = np.where(count > 1, np.minimum(self._widest(pitch_deg), self.span_deg / count), 0.0)
-        margin = (self.span_deg - (count - 1) * spacing) / 2
-        left, right = np.maximum(margin, self._left), np.maximum(margin, self._right)
-        spacing = np.where(count > 1, np.maximum(self.span_deg - left - right, 0.0) / gaps, 0.0)
-        return spacing, left, right
 
     def yaws_deg(self, pitch_deg: float, count: int, phase_deg: float) -> FloatArray:
         """The yaws (count,) of a row, clockwise, in [-180, 180); the phase turns rows that are free to turn."""
         steps = np.arange(count)
         if self.closed:
-            if not self.blind_deg:
-                return wrap_180(phase_deg + steps * 360.0 / count)
-            start = self._blind_from + self.blind_deg
-            if count == 1:
-                return wrap_180(np.array([start + (360.0 - self.blind_deg) / 2]))
-            gap = max(360.0 / count, self.blind_deg)
-            start += (gap - self.blind_deg) / 2
-            return wrap_180(start + steps * (360.0 - gap) / (count - 1))
+            return wrap_180(self._closed_yaws(count, phase_deg))
+        if self.blind_deg > 0:
+            return wrap_180(self._yaws_around_blind(count))
         spacing, left, right = (float(v[0]) for v in self._sector(np.array([pitch_deg]), np.array([count])))
-        start = self._middle_deg - self.span_deg / 2 + left
         if count == 1:
-            start = self._middle_deg + (left - right) / 2
-        return wrap_180(start + steps * spacing)
+            return wrap_180(np.array([self._start_deg + (self.span_deg + left - right) / 2]))
+        return wrap_180(self._start_deg + left + steps * spacing)
 
-    def _place_sector(self) -> None:
-        """What of the sector's ends cannot be panned to; `blind_deg` becomes what is left inside the sector."""
-        start = self._middle_deg - self.span_deg / 2
-        blind_from = (self._blind_from - start) % 360.0
-        blind_to = blind_from + self.blind_deg
+    def _closed_yaws(self, count: int, phase_deg: float) -> FloatArray:
+        steps = np.arange(count)
+        if self.blind_deg == 0:
+            return np.asarray(phase_deg + steps * 360.0 / count)
+        start, seen = self._blind_from_deg + self.blind_deg, 360.0 - self.blind_deg
+        if count == 1:
+            return np.array([start + seen / 2])
+        gap = max(360.0 / count, self.blind_deg)
+        return np.asarray(start + (gap - self.blind_deg) / 2 + steps * (360.0 - gap) / (count - 1))
+
+    def _sector(self, pitch_deg: FloatArray, count: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Spacing and the distances of the outer images from the sector's ends, each (k,)."""
+        spacing = np.where(count > 1, np.minimum(self._widest(pitch_deg), self.span_deg / count), 0.0)
+        margin = (self.span_deg - (count - 1) * spacing) / 2
+        left, right = np.maximum(margin, self._left_deg), np.maximum(margin, self._right_deg)
+        between = np.maximum(self.span_deg - left - right, 0.0)
+        alone = count == 1
+        left, right = np.where(alone, self._alone(-1), left), np.where(alone, self._alone(1), right)
+        return np.where(alone, 0.0, between / np.maximum(count - 1, 1)), left, right
+
+    def _alone(self, side: int) -> float:
+        """Distance of a single image from an end of the sector: in the middle, or as near to it as the gimbal goes."""
+        yaw = min(max(self.span_deg / 2, self._left_deg), max(self.span_deg - self._right_deg, self._left_deg))
+        return yaw if side < 0 else self.span_deg - yaw
+
+    def _meet_sector(self) -> None:
+        """Tell what of the blind arc cuts off the sector's ends from what lies inside it."""
+        start = (self._blind_from_deg - self._start_deg) % 360.0
+        stop = start + self.blind_deg
         inside = 0.0
-        if blind_from <= _HAIR_DEG or blind_to >= 360.0 - _HAIR_DEG:
-            self._left = max(0.0, (blind_to - 360.0) if blind_to > 360.0 else (blind_to if blind_from <= _HAIR_DEG else 0.0))
-        if blind_to > 360.0:
-            self._left = min(blind_to - 360.0, self.span_deg)
-        if blind_from < self.span_deg:
-            if blind_to >= self.span_deg:
-                self._right = self.span_deg - blind_from
+        if stop > 360.0 - _HAIR_DEG or start < _HAIR_DEG:
+            self._left_deg = min(stop - 360.0 if stop > 360.0 - _HAIR_DEG else stop, self.span_deg)
+        if _HAIR_DEG <= start < self.span_deg:
+            if stop >= self.span_deg:
+                self._right_deg = self.span_deg - start
             else:
                 inside = self.blind_deg
         self.blind_deg = inside
+
+    def _sector_around_blind(self, count: int) -> tuple[float, float]:
+        """Spacing and reach of a sector's row with images at both ends of the blind arc."""
+        if count == 1:
+            left, right = self._parts_deg()
+            return 0.0, max(left, self.span_deg - left, right)
+        low, high = 0.0, self.span_deg
+        for _ in range(50):
+            middle = (low + high) / 2
+            low, high = (low, middle) if sum(self._counts_beside(middle)) <= count else (middle, high)
+        return high, max(high, self.blind_deg) / 2
+
+    def _yaws_around_blind(self, count: int) -> FloatArray:
+        left, _ = self._parts_deg()
+        if count == 1:
+            return np.array([self._start_deg + left])
+        spacing, _ = self._around_blind(count)
+        before, after = self._counts_beside(spacing)
+        from_left = self._start_deg + left - np.arange(before)[::-1] * spacing
+        from_right = self._start_deg + left + self.blind_deg + np.arange(after) * spacing
+        return np.concatenate([from_left, from_right])
+
+    def _parts_deg(self) -> tuple[float, float]:
+        """The sector's azimuths before and after the blind arc."""
+        left = (self._blind_from_deg - self._start_deg) % 360.0
+        return left, self.span_deg - left - self.blind_deg
+
+    def _counts_beside(self, spacing_deg: float) -> tuple[int, int]:
+        """Images before and after the blind arc that a spacing takes, the first ones at its ends."""
+        before, after = (1 + int(np.ceil(max(part / spacing_deg - 0.5, 0.0) - 1e-9)) for part in self._parts_deg())
+        return before, after
 
 
 def _blind_arc(gimbal: GimbalLimits | None) -> tuple[float, float]:
@@ -113,8 +176,3 @@ def reachable_pitch(gimbal: GimbalLimits | None) -> tuple[float, float]:
     if gimbal is None:
         return -90.0, 90.0
     return max(-90.0, gimbal.pitch_min_deg), min(90.0, gimbal.pitch_max_deg)
-
-
-def check_span(span_deg: float) -> bool:
-    """Whether a span is a full circle."""
-    return math.isclose(span_deg, 360.0)

@@ -154,7 +154,9 @@ def _axes(
     return ahead, right, down
 
 
-def neighbour_overlap(camera: Camera, pitch_deg: FloatArray, spacing_deg: FloatArray, tolerance: Tolerance) -> FloatArray:
+def neighbour_overlap(
+    camera: Camera, pitch_deg: FloatArray, spacing_deg: FloatArray, tolerance: Tolerance
+) -> FloatArray:
     """Overlap of two images of one pitch, the least over all errors within the tolerance; exact where it is 0.
 
     Args:

@@ -224,7 +224,9 @@ class PairMargin:
     ) -> FloatArray:
         """Least overlap (k,) of the images of one half of a sector's row with the next row."""
         half = int(((count + 1) // 2).max())
-        probes = np.unique(np.concatenate([np.arange(min(half, 4)), np.linspace(0, half - 1, min(half, 8)).astype(int)]))
+        probes = np.unique(
+            np.concatenate([np.arange(min(half, 4)), np.linspace(0, half - 1, min(half, 8)).astype(int)])
+        )
         most = int(row_count.max())
         own = (probes - (count[:, None] - 1) / 2) * spacing_deg[:, None]
         other = (np.arange(most) - (row_count[:, None] - 1) / 2) * row_spacing_deg[:, None]

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from panoexec.angles import FloatArray
-from panoexec.planning.row_outlook import Outlook
 from panoexec.planning.row_layout import IntArray
+from panoexec.planning.row_outlook import Outlook
 from panoexec.planning.row_rules import RowRules
 from panoexec.planning.row_steps import highest_pitch
 
@@ -206,8 +206,8 @@ class RowSearch:
         _, high = self._rules.band(pitch, number)
         top = self._rules.band_deg[1]
         for p, c, h, b in zip(pitch.tolist(), number.tolist(), high.tolist(), origins, strict=True):
-            reaches = h >= top
             images, rows = c + (b.images if b else 0), 1 + (b.rows if b else 0)
+            reaches = h >= top and rows >= self._rules.demands.least_rows
             label = Label(pitch_deg=p, count=c, images=images, rows=rows, highest_deg=h, reaches=reaches, before=b)
             promise = images if reaches else images + self._outlook.least_after(p)
             self._labels.append((promise, label))
