@@ -107,7 +107,7 @@ class AttitudeBuffer:
                 self._waiters.remove(waiter)
 
     def vehicle_attitude_at(self, sample: AttitudeSample) -> VehicleAttitude | None:
-        """See `AttitudeFeed.vehicle_attitude_at`; between two reports it is interpolated.
+        """See `AttitudeFeed.vehicle_attitude_at`; between two reports it is interpolated, after the last continued.
 
         Paired by the senders' boot time when the autopilot stamped both, else by arrival (a gimbal has its own clock).
         """
@@ -147,10 +147,11 @@ def _take_in(inbox: deque[_Stamped], kept: deque[_Stamped]) -> None:
 def _nearest(
     attitudes: deque[VehicleAttitude], time_s: float, stamp: Callable[[VehicleAttitude], float]
 ) -> VehicleAttitude | None:
-    """The attitude at `time_s`: interpolated between its neighbours, or the nearest; None if none is near enough.
+    """The attitude at `time_s`: interpolated between its neighbours, continued from the two before, or the nearest.
 
-    By bisection: while a backlog is worked off, the wanted one is far from the newest, and a search from there would
-    make the backlog grow.
+    Continued by no more than the time between those two, so that errors grow no more than threefold; None if none is
+    near enough. By bisection: while a backlog is worked off, the wanted one is far from the newest, and a search from
+    there would make the backlog grow.
     """
     after = bisect_right(attitudes, time_s, key=stamp)
     earlier = attitudes[after - 1] if after > 0 else None
@@ -161,4 +162,9 @@ def _nearest(
         later = None
     if earlier is not None and later is not None:
         return interpolate(earlier, later, (time_s - stamp(earlier)) / (stamp(later) - stamp(earlier)))
+    if earlier is not None and after > 1:
+        previous = attitudes[after - 2]
+        since_s, step_s = time_s - stamp(earlier), stamp(earlier) - stamp(previous)
+        if since_s <= step_s <= PAIR_S:
+            return interpolate(previous, earlier, 1.0 + since_s / step_s if step_s > 0 else 1.0)
     return earlier or later

@@ -37,12 +37,14 @@ Feedback: TypeAlias = Literal["earth", "vehicle", "body", "none"]
 demanded, or an echo of the target."""
 
 ATTITUDE_STATUS: Final = 285
+ATTITUDE: Final = 30
 MANAGER_STATUS: Final = 281
 MANAGER_INFORMATION: Final = 280
 
 _TAKE_S: Final = 3.0
 _RELEASE_S: Final = 2.5
 _SPARED_HZ: Final = 1.0
+_DRIFT_HZ: Final = 25.0
 _SERVO: Final = 1
 _BRUSHLESS_PWM: Final = 7
 _FRAMES: Final[dict[Feedback, YawFrame]] = {
@@ -102,6 +104,7 @@ class MavsdkGimbal:
         self._listed = asyncio.Event()
         self._list: list[GimbalItem] = []
         self._sample_s = -math.inf
+        self._source: tuple[int, YawFrame, YawFrame] | None = None
         self._off: list[Callable[[], None]] = []
 
     # --- state
@@ -249,15 +252,16 @@ class MavsdkGimbal:
         if self._found is not None and device not in (0, self._found.device_id):
             return  # a second mount of the vehicle
         self._sample_s = time.monotonic()
-        before = self._buffer.source_component
         heading_deg = math.nan
         if message.component_id != AUTOPILOT:
             heading_deg = self._heading.gimbal(told_heading_deg(message.fields), message.received_s)
         self._stated = yaw_frame(int(message.fields["flags"]))
         sample = gimbal_sample(message.fields, message.received_s, self._frame, heading_deg=heading_deg)
         self._buffer.put_sample(sample, message.component_id)
-        if self._buffer.source_component != before:
-            self._link.post(self._source_changed)
+        source = message.component_id, self._stated, sample.yaw_frame
+        if source != self._source and self._buffer.source_component == message.component_id:
+            self._source = source
+            self._link.post(self._source_changed, *source)
 
     def _airframe(self, message: MavMessage) -> None:
         if message.component_id == AUTOPILOT:
@@ -293,13 +297,20 @@ class MavsdkGimbal:
         self._buffer.rebooted()
         self._control = None
 
-    def _source_changed(self) -> None:
-        """Spare the autopilot's copy of the reports while the gimbal's own arrive: on a radio both are too much."""
-        source = self._buffer.source_component
-        if source is not None and source != AUTOPILOT:
-            self._link.streams.spared[ATTITUDE_STATUS] = _SPARED_HZ
-        else:
-            self._link.streams.spared.pop(ATTITUDE_STATUS, None)
+    def _source_changed(self, component: int, stated: YawFrame, used: YawFrame) -> None:
+        """Ask only for what is needed: the daemon's computing time goes into messages that reach Python.
+
+        The autopilot's copy of the reports is spared while the gimbal's own arrive. Its attitude is needed as often as
+        they come to compose them with it; less often where it only corrects the heading that the gimbal tells; hardly
+        at all for reports relative to the earth.
+        """
+        spared = self._link.streams.spared
+        spared.pop(ATTITUDE_STATUS, None)
+        spared.pop(ATTITUDE, None)
+        if component != AUTOPILOT:
+            spared[ATTITUDE_STATUS] = _SPARED_HZ
+        if used is YawFrame.EARTH:
+            spared[ATTITUDE] = _SPARED_HZ if stated is YawFrame.EARTH else _DRIFT_HZ
 
     async def _ask_limits(self, manager: int) -> None:
         if self._limits is not None:

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import structlog
 from mavsdk.plugins.mavlink_direct import MavlinkDirect
@@ -19,9 +18,8 @@ from panoexec.clock import Clock
 _log = structlog.get_logger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class MavMessage:
-    """One message.
+class MavMessage(NamedTuple):
+    """One message; a named tuple, as a hundred of them are made a second.
 
     Attributes:
         name: MAVLink's name of it.

@@ -214,6 +214,7 @@ async def test_the_gimbals_own_reports_spare_the_autopilots_copy(
     latest = gimbal.feed.latest
     assert latest is not None
     assert latest.yaw_frame is YawFrame.EARTH
+    assert gimbal_autopilot.streams[30] == pytest.approx(1.0)  # it tells more than the airframe's attitude would
     # when they fall silent, the copy is asked for again
     await eventually(lambda: gimbal_autopilot.streams[285] < 0.03, 8)
     await eventually(lambda: gimbal.feed.latest is not None and gimbal.feed.latest.yaw_frame is YawFrame.VEHICLE)
