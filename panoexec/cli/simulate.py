@@ -1,8 +1,8 @@
 """Run the simulated vehicle alone, in the foreground, to try `panoexec serve` or any ground station against it.
 
-It sends MAVLink to the UDP port that MAVSDK or a ground station listens on (14540 and 14550), as the
-autopilots' own simulators do; with --listen it waits on the port instead. With --attach it is only the payload, gimbal and camera, of a real ArduPilot
-(MNT1_TYPE 6), in SITL or on a bench. Ctrl-C ends it.
+It sends MAVLink to the UDP ports that MAVSDK and ground stations listen on (14540 and 14550), as the autopilots' own
+simulators do; with --listen it waits on a port instead. With --attach it is only the payload, gimbal and camera, of a
+real ArduPilot (MNT1_TYPE 6), in SITL or on a bench. Ctrl-C ends it.
 """
 
 from __future__ import annotations
@@ -68,7 +68,8 @@ def simulated_camera(args: argparse.Namespace) -> CameraConfig | None:
     if args.camera is None:
         return None
     profile = load_profile(args.camera, orientation=args.orientation, focal_length_mm=args.focal_length)
-    return CameraConfig(optics=profile.camera, interval_s=profile.min_interval_s)
+    exposure_s = min(CameraConfig().exposure_s, profile.max_exposure_s)
+    return CameraConfig(optics=profile.camera, interval_s=profile.min_interval_s, exposure_s=exposure_s)
 
 
 def _how_to_connect(config: SimConfig, connect: str) -> list[str]:

@@ -24,6 +24,7 @@ VENDOR = "panoexec"
 _URL_BYTES = 205
 _RETRANSMISSION_S = 1.5
 _POSITION_INTERVAL_US = 200_000
+_POSITION_LOST_S = 3.0
 _DRIFT_HOLD_S = 0.7
 
 _OLD_REQUESTS = {
@@ -89,6 +90,7 @@ class CameraComponent:
             mavlink.MAV_CMD_REQUEST_CAMERA_IMAGE_CAPTURE: lambda command: self._again(int(command.params[0])),
         }
         self.fix = Fix()
+        self._fix_s = -math.inf
         self.model = CameraModel(
             config.camera, timeline, look=lambda: look_at(gimbal.physics, timeline.now_s), on_exposed=self._exposed
         )
@@ -112,6 +114,7 @@ class CameraComponent:
         """Take one message."""
         kind = message.get_type()
         if kind == "GLOBAL_POSITION_INT" and message.get_srcSystem() == self._system_id:
+            self._fix_s = self._timeline.now_s
             self.fix = Fix(
                 latitude_deg=message.lat * 1e-7,
                 longitude_deg=message.lon * 1e-7,
@@ -120,7 +123,9 @@ class CameraComponent:
                 heading_deg=message.hdg * 1e-2,
             )
         elif kind == "HEARTBEAT":
-            if message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
+            # an autopilot forgets at its reboot what it was asked for
+            lost = self._timeline.now_s - self._fix_s > _POSITION_LOST_S
+            if lost and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
                 self._ask_for_position()
         elif self._component.is_addressed(message) and (command := command_of(message)) is not None:
             result = self._command(command)

@@ -87,7 +87,7 @@ class CameraConfig:
 
     Attributes:
         optics: sensor, lens and full image size, as told in CAMERA_INFORMATION.
-        render_width_px: width of the JPEGs really written (height follows); the full size would take minutes.
+        render_width_px: width of the JPEGs really written; height follows, and so does the time they take.
         exposure_s: shutter time.
         latency_s: from the command to the opening of the shutter.
         report_s: from the closing of the shutter to CAMERA_IMAGE_CAPTURED.

@@ -1,0 +1,31 @@
+"""docs/simulator.md knows every number and every fault, with its default."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from panoexec.sim import settings
+from panoexec.sim.config import SimConfig
+from panoexec.sim.faults import FAULTS
+
+TEXT = (Path(__file__).parents[3] / "docs" / "simulator.md").read_text(encoding="utf-8")
+ROWS = {
+    cells[1].strip().strip("`"): [cell.strip() for cell in cells[2:-1]]
+    for cells in (line.split("|") for line in TEXT.splitlines() if line.startswith("| `"))
+}
+
+
+def test_every_number_is_documented_with_its_default() -> None:
+    numbers = settings.names(SimConfig())
+    documented = {name: row[0] for name, row in ROWS.items() if "." in name}
+    expected = {n: str(v).lower() if isinstance(v, bool) else f"{v:.9g}" for n, v in numbers.items()}
+    assert documented == expected
+    assert all(row[1] for name, row in ROWS.items() if "." in name)
+
+
+def test_every_fault_is_documented_with_its_text_and_size() -> None:
+    documented = {name: row for name, row in ROWS.items() if name in FAULTS}
+    assert set(documented) == set(FAULTS)
+    for name, fault in FAULTS.items():
+        assert documented[name][1] == fault.text
+        assert documented[name][2] == (f"{fault.size:g} {fault.unit}" if fault.unit else "")
