@@ -22,13 +22,20 @@ from panoexec.adapters.mavsdk_pilot import MavsdkPilot
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import SystemClock
 from panoexec.devices import EvidenceLevel
-from panoexec.errors import LinkError
+from panoexec.errors import DeviceError, LinkError
 from panoexec.events import AxisErrors, Event
 from panoexec.mission.executor import Mission
 from panoexec.mission.record import MissionRecord, Verdict
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission_dir import existing_mission_directory
-from panoexec.mission_session import Devices, MissionSession, StoredMission, create_mission, open_mission
+from panoexec.mission_session import (
+    Devices,
+    MissionSession,
+    StoredMission,
+    create_mission,
+    open_mission,
+    write_mission_files,
+)
 from panoexec.planning.duration import slew_time_s
 from panoexec.planning.model import Certificate, Plan, Shot
 from panoexec.pose_reading import pose_of, read_pose
@@ -259,6 +266,7 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
                 duration_s, certificate = session.mission.shooting_s, session.mission.certificate
     finally:
         await stored.journal.close()
+    await write_mission_files(stored)
     shots = _shots_flown(record, since_utc_s=began_utc_s)
     limit_s = physical_limit_s(shots, stored.settings, start=start, exposure_s=simulation.camera.exposure_s)
     summary = summarise(stored, record, duration_s=duration_s, limit_s=limit_s, certificate=certificate)
@@ -296,8 +304,13 @@ async def devices_on(
         note(f"hovering at {HOVER_M:g} m")
         yield devices, rig
         note("landing")
-        await pilot.land()
-        rig.about["landed"] = True
+        try:
+            await pilot.land()
+        except DeviceError as error:  # the panorama is taken all the same; its summary must not be lost
+            note(str(error))
+            rig.about["landed"] = False
+        else:
+            rig.about["landed"] = True
         note("landed and disarmed")
 
 
