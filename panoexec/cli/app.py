@@ -39,6 +39,8 @@ VERBS: dict[str, Verb] = {
     "dry-run": Verb("dry_run", "fly a whole mission on the embedded simulated vehicle", extra="sim"),
     "stitch": Verb("stitch", "stitch a mission's photos with Hugin's tools and measure completeness", extra="report"),
     "simulate": Verb("simulate", "run the simulated vehicle alone, to try a ground station or `serve`", extra="sim"),
+    "serve": Verb("serve", "run the daemon that a ground station commands by MQTT"),
+    "check-config": Verb("check_config", "tell every problem of a configuration at once"),
 }
 
 

@@ -1,0 +1,50 @@
+"""Check a configuration of the daemon: every problem at once, overriding environment variables included.
+
+Example:
+  panoexec check-config /etc/panoexec/config.toml
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+from panoexec.cli.output import note, print_facts, print_json
+from panoexec.cli.serve import checked_config
+from panoexec.errors import InputFileError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options."""
+    parser.add_argument("config", type=Path, metavar="FILE")
+    parser.add_argument(
+        "--json", action="store_true", help="one JSON document on stdout: problems, or the whole config"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check, and say what was found."""
+    try:
+        config = checked_config(args.config, os.environ)
+    except InputFileError as error:
+        if args.json:
+            print_json({"file": error.source, "ok": False, "problems": error.problems})
+            return error.exit_code
+        for problem in error.problems:
+            note(f"panoexec: {error.source}: {problem}")
+        return error.exit_code
+    if args.json:
+        print_json({"file": str(args.config), "ok": True, "problems": [], "config": config.model_dump(mode="json")})
+        return 0
+    broker = "none" if config.mqtt.host is None else f"{config.mqtt.host}:{config.mqtt.port}"
+    print_facts(
+        [
+            ("config", f"{args.config} is good"),
+            ("vehicle", f"{config.vehicle.id} on {config.vehicle.connection or f'serial {config.vehicle.serial}'}"),
+            ("camera", config.camera.profile),
+            ("broker", broker),
+            ("storage", str(config.storage.path)),
+        ]
+    )
+    return 0

@@ -1,0 +1,245 @@
+"""The missions of the daemon, one at a time: begun, resumed, flown to their end, kept on disk."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import shutil
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import structlog
+
+from panoexec.clock import Clock
+from panoexec.config import Config
+from panoexec.errors import PanoexecError
+from panoexec.events import Event, EventSink
+from panoexec.mission.control import CommandRefusedError
+from panoexec.mission.executor import Mission
+from panoexec.mission.record import MissionRecord
+from panoexec.mission.settings import MissionSettings
+from panoexec.mission_dir import mission_directories
+from panoexec.mission_session import (
+    Devices,
+    MissionSession,
+    NotResumableError,
+    StoredMission,
+    create_mission,
+    open_mission,
+)
+from panoexec.mqtt.messages import RefusedRequestError
+from panoexec.planning.model import Plan
+from panoexec.states import MissionState
+
+Reference = Literal["north", "heading"]
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Offer:
+    """An interrupted mission that can be gone on with.
+
+    Attributes:
+        stored_id: its mission id.
+        record: what is known of it.
+        plan: its plan.
+    """
+
+    stored_id: str
+    record: MissionRecord
+    plan: Plan
+
+
+class Missions:
+    """Flies missions in `run`, which is one task of the daemon; the other methods may be used from any.
+
+    Attributes:
+        record: of the mission that flies, or flew last, or is offered; None without one.
+        plan: its plan.
+        mission: the executor while one flies.
+        offer: the interrupted mission that `resume` goes on with.
+    """
+
+    def __init__(
+        self, *, config: Callable[[], Config], clock: Clock, sink: EventSink, changed: Callable[[], None]
+    ) -> None:
+        """Describe it.
+
+        Args:
+            config: the configuration as of now.
+            clock: of missions.
+            sink: gets the events.
+            changed: called when a mission begins or ends.
+        """
+        self.record: MissionRecord | None = None
+        self.plan: Plan | None = None
+        self.mission: Mission | None = None
+        self.offer: Offer | None = None
+        self._config = config
+        self._clock = clock
+        self._sink = sink
+        self._changed = changed
+        self._next: asyncio.Queue[tuple[StoredMission, Devices, Reference]] = asyncio.Queue()
+        self._claimed = False
+        self._idle = asyncio.Event()
+        self._idle.set()
+
+    @property
+    def busy(self) -> bool:
+        """Whether a mission flies, or is about to."""
+        return self._claimed
+
+    @contextlib.asynccontextmanager
+    async def claimed(self) -> AsyncIterator[None]:
+        """Hold the only place for a mission; it is free again if the block fails.
+
+        Raises:
+            RefusedRequestError: a mission flies.
+        """
+        if self._claimed:
+            name = self.record.mission_id if self.mission is not None and self.record is not None else "a mission"
+            raise RefusedRequestError("busy", f"{name} is under way: abort it first, or wait for its end")
+        self._claimed = True
+        self._idle.clear()
+        try:
+            yield
+        except BaseException:
+            self._free()
+            raise
+
+    async def begin(self, plan: Plan, settings: MissionSettings, devices: Devices, reference: Reference) -> str:
+        """Make a new mission and have it flown; returns its id. Only while `claimed`.
+
+        Raises:
+            RefusedRequestError: it cannot be stored.
+        """
+        storage = self._config().storage
+        try:
+            await asyncio.to_thread(self._check_space)
+            stored = await create_mission(storage.path, plan=plan, settings=settings, now_utc_s=self._clock.time())
+        except PanoexecError as error:
+            raise RefusedRequestError("storage", str(error)) from error
+        self.offer = None
+        self._next.put_nowait((stored, devices, reference))
+        return stored.directory.mission_id
+
+    async def go_on(self, devices: Devices) -> str:
+        """Go on with the offered mission; returns its id. Only while `claimed`.
+
+        Raises:
+            RefusedRequestError: none is offered, or it cannot be resumed.
+        """
+        if self.offer is None:
+            raise RefusedRequestError("refused", "cannot resume: no mission is paused and none was interrupted")
+        storage = self._config().storage.path
+        directory = next((d for d in mission_directories(storage) if d.mission_id == self.offer.stored_id), None)
+        if directory is None:
+            raise RefusedRequestError(
+                "refused", f"cannot resume: mission {self.offer.stored_id} is gone from {storage}"
+            )
+        try:
+            stored = await open_mission(directory)
+        except PanoexecError as error:
+            raise RefusedRequestError("refused", str(error)) from error
+        self.offer = None
+        self._next.put_nowait((stored, devices, "north"))
+        return directory.mission_id
+
+    async def find_interrupted(self) -> bool:
+        """Look for the newest mission on disk and offer it if it can be resumed; whether a process died in it."""
+        directories = await asyncio.to_thread(mission_directories, self._config().storage.path)
+        if not directories:
+            return False
+        try:
+            stored = await open_mission(directories[-1])
+        except NotResumableError:
+            return False
+        except PanoexecError as error:
+            _log.warning("the newest mission cannot be resumed", error=str(error))
+            return False
+        await stored.journal.close()
+        name = stored.directory.mission_id
+        record = MissionRecord.from_events(mission_id=name, shots=stored.plan.shots, events=stored.events)
+        self.offer = Offer(stored_id=name, record=record, plan=stored.plan)
+        self.record, self.plan = record, stored.plan
+        _log.info("an interrupted mission can be resumed", mission_id=name, state=record.state.value)
+        return record.state is not MissionState.FAILED
+
+    async def run(self) -> None:
+        """Fly what begins, one after the other, for ever."""
+        while True:
+            stored, devices, reference = await self._next.get()
+            try:
+                await self._fly(stored, devices, reference)
+            except (PanoexecError, ValueError, OSError) as error:
+                _log.error("mission ended by an error", mission_id=stored.directory.mission_id, error=str(error))
+            finally:
+                self.mission = None
+                self._free()
+            await self._offer_again()
+            self._changed()
+
+    async def _fly(self, stored: StoredMission, devices: Devices, reference: Reference) -> None:
+        section = self._config().vehicle
+        opened = MissionSession.opened(
+            stored,
+            devices=devices,
+            clock=self._clock,
+            sink=self._sink,
+            vehicle={"id": section.id, "connection": section.connection or f"serial {section.serial}"},
+            reference=reference,
+        )
+        with structlog.contextvars.bound_contextvars(mission_id=stored.directory.mission_id):
+            async with opened as session:
+                self.mission, self.record, self.plan = session.mission, session.mission.record, stored.plan
+                self._changed()
+                record = await session.run()
+                _log.info("mission ended", state=record.state.value, reason=record.reason)
+
+    async def _offer_again(self) -> None:
+        """A mission that failed or was interrupted can be resumed without a new process."""
+        record = self.record
+        if record is not None and record.state in (MissionState.FAILED, MissionState.PAUSED):
+            await self.find_interrupted()
+
+    async def interrupted(self, reason: str) -> None:
+        """Stop the mission after its photo and return when it is on disk; it can be resumed."""
+        mission = self.mission
+        if mission is not None:
+            with contextlib.suppress(CommandRefusedError):
+                mission.verbs.interrupt(reason)
+        if self._claimed:
+            await self._idle.wait()
+
+    def _free(self) -> None:
+        self._claimed = False
+        self._idle.set()
+
+    def _check_space(self) -> None:
+        storage = self._config().storage
+        storage.path.mkdir(parents=True, exist_ok=True)
+        free_mb = shutil.disk_usage(storage.path).free / 1e6
+        if free_mb < storage.min_free_mb:
+            raise RefusedRequestError(
+                "storage",
+                f"{storage.path} has {free_mb:.0f} MB left: [storage] min_free_mb asks for {storage.min_free_mb:g}",
+            )
+
+
+def one_line(event: Event, record: MissionRecord | None) -> str | None:
+    """What the pilot's ground station is told of an event; None for nothing."""
+    done = "" if record is None else f" {record.shots_done}/{record.shots_total}"
+    match event.type:
+        case "mission_started":
+            return f"panoexec: panorama begins,{done} shots"
+        case "mission_paused":
+            return f"panoexec: paused{done}: {getattr(event, 'reason', '')}"
+        case "mission_resumed":
+            return f"panoexec: goes on{done}"
+        case "preflight_failed":
+            return f"panoexec: not started: {'; '.join(getattr(event, 'problems', ()))}"
+        case "mission_finished":
+            return f"panoexec: {event.state.value}{done}: {getattr(event, 'reason', '')}"
+    return None
