@@ -52,7 +52,7 @@ class ScriptedPeer(asyncio.Protocol, asyncio.DatagramProtocol):
         beating: whether heartbeats are sent.
     """
 
-    def __init__(self, *, system: int = 1, heartbeat_s: float = 0.1) -> None:
+    def __init__(self, *, system: int = 1, heartbeat_s: float = 0.03) -> None:
         self.port = 0
         self.system = system
         self.heartbeat_s = heartbeat_s
@@ -238,7 +238,7 @@ class GimbalPeer(ScriptedPeer):
         limits: roll, pitch, yaw ranges, radians.
     """
 
-    def __init__(self, *, system: int = 1, heartbeat_s: float = 0.1) -> None:
+    def __init__(self, *, system: int = 1, heartbeat_s: float = 0.03) -> None:
         super().__init__(system=system, heartbeat_s=heartbeat_s)
         self.control = (0, 0)
         self.q = [1.0, 0.0, 0.0, 0.0]
