@@ -40,6 +40,7 @@ VERBS: dict[str, Verb] = {
     "stitch": Verb("stitch", "stitch a mission's photos with Hugin's tools and measure completeness", extra="report"),
     "simulate": Verb("simulate", "run the simulated vehicle alone, to try a ground station or `serve`", extra="sim"),
     "serve": Verb("serve", "run the daemon that a ground station commands by MQTT"),
+    "send": Verb("send", "ask a vehicle for something by MQTT and show its answer"),
     "check-config": Verb("check_config", "tell every problem of a configuration at once"),
 }
 

@@ -1,0 +1,104 @@
+"""Ask a vehicle for something by MQTT and show its answer.
+
+Fields are KEY=VALUE, where VALUE is JSON if it reads as JSON and a text otherwise; dots go into tables. Exit codes:
+0 obeyed, 1 refused, 2 the request is wrong, 3 no broker or no answer.
+
+Examples:
+  panoexec send get
+  panoexec send plan camera=dji-x5s-15mm overlap=0.2
+  panoexec send start elevation_deg=[-60,10] tolerance_deg.yaw=0.5
+  panoexec send start --plan plan.json
+  panoexec send skip shot=12
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import difflib
+import json
+from pathlib import Path
+from typing import Any
+
+from panoexec.cli.broker_options import add_broker_arguments, broker_of
+from panoexec.cli.output import note, print_facts, print_json
+from panoexec.cli.planning_options import positive
+from panoexec.config import MqttSection
+from panoexec.errors import UsageError
+from panoexec.mqtt.ground import GroundStation
+from panoexec.mqtt.messages import REQUESTS
+
+_WRONG = frozenset({"too_large", "not_json", "unknown_command", "invalid", "conflict", "planning"})
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options."""
+    parser.add_argument("command", metavar="COMMAND", help=", ".join(REQUESTS))
+    parser.add_argument("fields", nargs="*", metavar="KEY=VALUE", help="of the request, right after the command")
+    parser.add_argument("--plan", type=Path, metavar="PLAN.json", help="for plan and start: a whole plan file")
+    parser.add_argument("--timeout", type=positive, default=60.0, metavar="S", help="to wait for the answer (60)")
+    parser.add_argument("--json", action="store_true", help="the answer as one JSON document on stdout")
+    add_broker_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Ask, and show the answer."""
+    if args.command not in REQUESTS:
+        near = difflib.get_close_matches(args.command, REQUESTS, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"commands are {', '.join(REQUESTS)}"
+        raise UsageError(f"there is no command {args.command!r}: {hint}")
+    fields = _fields(args.fields)
+    if args.plan is not None:
+        try:
+            fields["plan"] = json.loads(args.plan.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise UsageError(f"--plan {args.plan}: {error}") from error
+    section, vehicle = broker_of(args)
+    answer = asyncio.run(_ask(section, vehicle, args.command, fields, args.timeout))
+    if args.json:
+        print_json(answer)
+    elif answer["status"] == "ok":
+        data = answer.get("data") or {}
+        print_facts([("ok", args.command), *((name, _short(value)) for name, value in data.items())])
+    else:
+        why = answer["error"]
+        where = f" ({why['field']})" if why.get("field") else ""
+        note(f"panoexec: {vehicle} refused {args.command}: {why['code']}{where}: {why['message']}")
+    return _exit_code(answer)
+
+
+async def _ask(
+    section: MqttSection, vehicle: str, command: str, fields: dict[str, Any], timeout_s: float
+) -> dict[str, Any]:
+    async with GroundStation(section) as ground:
+        return await ground.request(vehicle, command, fields, timeout_s=timeout_s)
+
+
+def _exit_code(answer: dict[str, Any]) -> int:
+    if answer["status"] == "ok":
+        return 0
+    return 2 if answer["error"]["code"] in _WRONG else 1
+
+
+def _fields(texts: list[str]) -> dict[str, Any]:
+    fields: dict[str, Any] = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not equals or not key:
+            raise UsageError(f"{text!r}: expected KEY=VALUE, for example overlap=0.2")
+        table = fields
+        *tables, last = key.split(".")
+        for name in tables:
+            table = table.setdefault(name, {})
+            if not isinstance(table, dict):
+                raise UsageError(f"{text!r}: {name} was given as a value already")
+        try:
+            table[last] = json.loads(value)
+        except ValueError:
+            table[last] = value
+    return fields
+
+
+def _short(value: object) -> str:
+    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= 100 else text[:99] + "…"
