@@ -36,7 +36,8 @@ class AirframeState:
     Attributes:
         roll_deg, pitch_deg, yaw_deg: attitude (3-2-1, yaw from true north, unwrapped).
         roll_rate_deg_s, pitch_rate_deg_s, yaw_rate_deg_s: their rates.
-        north_m, east_m, up_m: from home.
+        north_m, east_m, up_m: from home, truly: the autopilot holds the place that the GPS tells, and so wanders with
+            its error, which no report shows.
     """
 
     roll_deg: float
@@ -166,6 +167,7 @@ class Airframe:
         towards = math.radians(c.wind_from_deg - yaw)
         hold = flying * c.hold_m * (1 + self.wind_m_s / 5)
         north, east, up = (hold * drift.at(t) for drift in self._hold)
+        gps_north, gps_east, gps_up = (flying * c.gps_wander_m * drift.at(t) for drift in self._gps)
         return AirframeState(
             roll_deg=self._lean_deg * math.sin(towards) + rough * self._sway_roll.at(t),
             pitch_deg=-self._lean_deg * math.cos(towards) + rough * self._sway_pitch.at(t),
@@ -173,17 +175,17 @@ class Airframe:
             roll_rate_deg_s=rough * self._sway_roll.rate_at(t),
             pitch_rate_deg_s=rough * self._sway_pitch.rate_at(t),
             yaw_rate_deg_s=flying * c.heading_sway_deg * self._sway_yaw.rate_at(t),
-            north_m=north,
-            east_m=east,
-            up_m=self._height_m + 0.5 * up,
+            north_m=north - gps_north,
+            east_m=east - gps_east,
+            up_m=self._height_m + 0.5 * up - 1.5 * gps_up,
         )
 
     def position(self) -> Position:
         """What the GPS says of the moment."""
-        t, c, state = self._time_s, self.config, self.state()
-        north, east, up = (c.gps_wander_m * drift.at(t) for drift in self._gps)
-        north, east, up = north + state.north_m, east + state.east_m, 1.5 * up + state.up_m
-        hold = c.hold_m if self.is_flying else 0.0
+        t, c = self._time_s, self.config
+        hold = c.hold_m * (1 + self.wind_m_s / 5) if self.is_flying else 0.0
+        north, east, up = (hold * drift.at(t) for drift in self._hold)
+        up = self._height_m + 0.5 * up
         velocity = [hold * drift.rate_at(t) for drift in self._hold]
         return Position(
             latitude_deg=c.latitude_deg + north / _METRES_PER_DEG,

@@ -123,7 +123,8 @@ class AirframeConfig:
         sway_deg: standard deviation of roll and pitch about the mean in calm air.
         heading_sway_deg: standard deviation of the heading.
         hold_m: standard deviation of the true position about the hover point in calm air.
-        gps_wander_m: standard deviation of the slow error of the reported position.
+        gps_wander_m: standard deviation of the slow error of the GPS: the vehicle holds the place that it is told, so
+            it is the true position that wanders.
         battery_frac: charge at the start.
         battery_minutes: from full to empty.
         in_air: start hovering and armed; otherwise on the ground, disarmed.
