@@ -294,6 +294,7 @@ async def devices_on(
         found = await gimbal.discover(FIND_S)
         await camera.discover(FIND_S)
         rig.about["gimbal_feedback"] = found.feedback
+        rig.about["autopilot_version"] = await _autopilot_version(link)
         devices = Devices(gimbal=gimbal, camera=camera, vehicle=vehicle)
         if not rig.must_fly:
             yield devices, rig
@@ -312,6 +313,17 @@ async def devices_on(
         else:
             rig.about["landed"] = True
         note("landed and disarmed")
+
+
+async def _autopilot_version(link: MavsdkLink) -> str:
+    """Its firmware's version as AUTOPILOT_VERSION (148) tells it, "" if it does not."""
+    try:
+        fields = (await link.request_message(148, "AUTOPILOT_VERSION")).fields
+    except DeviceError:
+        return ""
+    word = int(fields["flight_sw_version"])
+    major, minor, patch, kind = word >> 24 & 0xFF, word >> 16 & 0xFF, word >> 8 & 0xFF, word & 0xFF
+    return f"{major}.{minor}.{patch}" + {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}.get(kind, "")
 
 
 def _settings_on(rig: Rig, devices: Devices, settings: MissionSettings, note: Callable[[str], None]) -> MissionSettings:

@@ -5,7 +5,9 @@ Nobody flies a real drone with this: the mission needs a vehicle that hovers alr
 
 from __future__ import annotations
 
+import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final
@@ -18,7 +20,7 @@ from panoexec.adapters.message_hub import MavMessage
 from panoexec.adapters.stream_keeper import AUTOPILOT
 from panoexec.adapters.vendor import MAV_RESULTS
 from panoexec.clock import Clock
-from panoexec.devices import Vehicle
+from panoexec.devices import Vehicle, VehicleStatus
 from panoexec.errors import DeviceError
 
 DO_SET_MODE: Final = 176
@@ -29,6 +31,11 @@ _STEP_S: Final = 0.5
 _HEIGHT_FRAC: Final = 0.97
 _GPS_RAW_INT: Final = 24
 _FIX_3D: Final = 3
+_STILL_M: Final = 0.5
+_STILL_S: Final = 4.0
+_STILL_PATIENCE_S: Final = 40.0
+_STILL_REAL_S: Final = 10.0
+_EARTH_M: Final = 6_371_000.0
 _LEAST_REAL_S: Final = 60.0
 """No patience is shorter than this in real time: a sped-up simulation may not get as fast as it was told to be."""
 _MULTIROTORS: Final = frozenset({2, 3, 4, 13, 14, 15, 29})
@@ -68,6 +75,7 @@ class MavsdkPilot:
             await self._must(NAV_TAKEOFF, [0, 0, 0, 0, 0, 0, height_m], "taking off")
             enough_m = _HEIGHT_FRAC * height_m
             await self._wait(lambda: self._vehicle.status.relative_altitude_m >= enough_m, timeout_s, "climbing")
+            await self._wait_still()
         _log.info("hovering", height_m=self._vehicle.status.relative_altitude_m)
 
     async def go_to(
@@ -146,6 +154,19 @@ class MavsdkPilot:
                 refusal = str(error)
             await self._clock.sleep(2 * _STEP_S)
 
+    async def _wait_still(self) -> None:
+        """Return when it stays where it is; wind displaces it while it climbs, and it comes back at its leisure.
+
+        A wind in which it never stands still is the mission's business, so patience is short.
+        """
+        patience = _Patience(self._clock, _STILL_PATIENCE_S, least_real_s=_STILL_REAL_S)
+        track: deque[VehicleStatus] = deque(maxlen=round(_STILL_S / _STEP_S) + 1)
+        while not patience.is_over:
+            track.append(self._vehicle.status)
+            if len(track) == track.maxlen and all(_apart_m(track[-1], past) < _STILL_M for past in track):
+                return
+            await self._clock.sleep(_STEP_S)
+
     async def _wait(self, done: Callable[[], bool], timeout_s: float, what: str) -> None:
         patience = _Patience(self._clock, timeout_s)
         while not done():
@@ -154,13 +175,19 @@ class MavsdkPilot:
             await self._clock.sleep(_STEP_S)
 
 
-class _Patience:
-    """A time limit on the mission's clock, but never a short one in real time."""
+def _apart_m(a: VehicleStatus, b: VehicleStatus) -> float:
+    north = math.radians(a.latitude_deg - b.latitude_deg) * _EARTH_M
+    east = math.radians(a.longitude_deg - b.longitude_deg) * _EARTH_M * math.cos(math.radians(a.latitude_deg))
+    return math.hypot(north, east, a.relative_altitude_m - b.relative_altitude_m)
 
-    def __init__(self, clock: Clock, timeout_s: float) -> None:
+
+class _Patience:
+    """A time limit on the mission's clock, but not a short one in real time."""
+
+    def __init__(self, clock: Clock, timeout_s: float, *, least_real_s: float = _LEAST_REAL_S) -> None:
         self._clock = clock
         self._end_s = clock.monotonic() + timeout_s
-        self._end_real_s = time.monotonic() + min(timeout_s, _LEAST_REAL_S)
+        self._end_real_s = time.monotonic() + min(timeout_s, least_real_s)
 
     @property
     def is_over(self) -> bool:
