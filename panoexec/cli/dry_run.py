@@ -118,6 +118,9 @@ def run(args: argparse.Namespace) -> int:
         print_json(summary.to_json())
     else:
         show_summary(summary)
+    if summary.vehicle.get("landed") is False:
+        note("panoexec: the vehicle did not land in time")
+        return 3
     return _EXIT.get(MissionState(summary.state), 1)
 
 
