@@ -1,0 +1,121 @@
+"""Transactions act once, across restarts too."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from panoexec.errors import UsageError
+from panoexec.mqtt.messages import RefusedRequestError, Request, parse_request
+from panoexec.mqtt.outbox import Outbox, Outgoing
+from panoexec.mqtt.transactions import Transactions
+
+
+def a_request(transaction: object = '"a"', command: str = "pause", more: str = "") -> Request:
+    return parse_request(command, f'{{"transaction": {transaction}{more}}}'.encode())
+
+
+async def test_acts_once_across_restarts(tmp_path: Path) -> None:
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="first")
+    assert (await store.note(a_request())).standing == "new"
+    assert (await store.note(a_request())).standing == "under way"
+    await store.answered(a_request(), '{"status": "ok"}')
+    assert (await store.note(a_request('"b"'))).standing == "new"
+    await store.close()
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="second")
+    noted = await store.note(a_request())
+    assert (noted.standing, noted.response) == ("answered", '{"status": "ok"}')
+    assert (await store.note(a_request('"b"'))).standing == "interrupted", "nobody knows whether it acted"
+    assert (await store.note(a_request("1"))).standing == "new"
+    assert (await store.note(a_request('"1"'))).standing == "new", "the text 1 is not the number 1"
+    await store.close()
+
+
+async def test_one_transaction_is_one_request(tmp_path: Path) -> None:
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="b")
+    await store.note(a_request())
+    for other in (a_request(command="abort"), a_request(more=', "reason": "x"')):
+        with pytest.raises(RefusedRequestError, match="used already") as caught:
+            await store.note(other)
+        assert (caught.value.code, caught.value.field) == ("conflict", "transaction")
+    await store.close()
+
+
+async def test_forgets_the_oldest_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("panoexec.mqtt.transactions.KEPT", 3)
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="b")
+    for number in range(5):
+        await store.note(a_request(number))
+        await store.answered(a_request(number), str(number))
+    standings = [(await store.note(a_request(number))).standing for number in range(5)]
+    assert standings == ["new", "new", "answered", "answered", "answered"]
+    await store.close()
+
+
+async def test_remembers(tmp_path: Path) -> None:
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="b")
+    assert await store.recall("camera") is None
+    await store.remember("camera", "x")
+    await store.close()
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="c")
+    assert await store.recall("camera") == "x"
+    await store.remember("camera", None)
+    assert await store.recall("camera") is None
+    await store.close()
+
+
+async def test_two_daemons_cannot_share_a_storage(tmp_path: Path) -> None:
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="b")
+    with pytest.raises(UsageError, match="in use by another panoexec"):
+        await Transactions.open(tmp_path / "t.sqlite", boot_id="c")
+    await store.close()
+
+
+async def test_says_what_is_wrong_with_the_storage(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match=r"cannot be used"):
+        await Transactions.open(tmp_path / "file" / "t.sqlite", boot_id="b")
+    (tmp_path / "t.sqlite").write_bytes(b"no database at all" * 100)
+    with pytest.raises(UsageError, match=r"damaged .* move it away"):
+        await Transactions.open(tmp_path / "t.sqlite", boot_id="b")
+
+
+def message(topic: str, payload: bytes = b"x", *, retain: bool = False) -> Outgoing:
+    return Outgoing(topic=topic, payload=payload, retain=retain)
+
+
+async def test_the_outbox_keeps_order_and_only_the_newest_retained() -> None:
+    box = Outbox()
+    first, second = message("event", b"1"), message("event", b"2")
+    box.put(first)
+    box.put(message("state", b"old", retain=True))
+    box.put(message("state", b"new", retain=True))
+    box.put(second)
+    batch = box.take(10)
+    assert [one.payload for one in batch] == [b"new", b"1", b"2"]
+    for one in batch:
+        box.done(one)
+    assert len(box) == 0
+    assert not box.filled.is_set()
+    box.renew()
+    assert [one.payload for one in box.take(10)] == [b"new"], "a new connection gets the state again"
+
+
+async def test_a_state_that_changed_while_the_old_one_was_sent_goes_out_too() -> None:
+    box = Outbox()
+    box.put(message("state", b"old", retain=True))
+    sent = box.take(1)[0]
+    box.put(message("state", b"new", retain=True))
+    box.done(sent)
+    assert [one.payload for one in box.take(1)] == [b"new"]
+
+
+async def test_the_outbox_is_bounded_by_number_and_bytes() -> None:
+    box = Outbox(limit=3, limit_bytes=10)
+    for number in range(5):
+        box.put(message("event", str(number).encode()))
+    assert [one.payload for one in box.take(10)] == [b"2", b"3", b"4"]
+    box.put(message("event", b"12345678"))
+    assert [one.payload for one in box.take(10)] == [b"3", b"4", b"12345678"]
+    assert box.dropped == 3
