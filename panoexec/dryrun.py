@@ -9,20 +9,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import AsyncIterator, Callable
-from contextlib import AsyncExitStack, asynccontextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from panoexec.adapters.mavsdk_camera import MavsdkCamera
-from panoexec.adapters.mavsdk_gimbal import MavsdkGimbal
-from panoexec.adapters.mavsdk_link import MavsdkLink
-from panoexec.adapters.mavsdk_pilot import MavsdkPilot
-from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import SystemClock
 from panoexec.devices import EvidenceLevel
-from panoexec.errors import DeviceError, LinkError
+from panoexec.dryrun_vehicle import devices_on, settings_on
+from panoexec.errors import LinkError
 from panoexec.events import AxisErrors, Event
 from panoexec.mission.executor import Mission
 from panoexec.mission.record import MissionRecord, Verdict
@@ -42,13 +37,7 @@ from panoexec.pose_reading import pose_of, read_pose
 from panoexec.sim import settings as sim_settings
 from panoexec.sim.config import SimConfig
 from panoexec.sitl.autopilot import sitl_binary
-from panoexec.sitl.rigs import ConnectedVehicle, EmbeddedVehicle, Rig, SitlVehicle, VehicleUnderTest
-
-FIND_S = 30.0
-"""Real seconds within which the simulated vehicle must be found."""
-
-HOVER_M = 30.0
-"""Height above the ground at which a vehicle that must be flown takes its panorama."""
+from panoexec.sitl.rigs import ConnectedVehicle, EmbeddedVehicle, SitlVehicle, VehicleUnderTest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -256,7 +245,7 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
                 sink=_Callback(on_event),
                 vehicle=rig.about,
                 reference=reference,
-                settings=_settings_on(rig, devices, stored.settings, note),
+                settings=settings_on(rig, devices, stored.settings, note),
             )
             async with opened as session:
                 on_mission(session.mission)
@@ -271,67 +260,6 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
     limit_s = physical_limit_s(shots, stored.settings, start=start, exposure_s=simulation.camera.exposure_s)
     summary = summarise(stored, record, duration_s=duration_s, limit_s=limit_s, certificate=certificate)
     return replace(summary, vehicle=rig.about)
-
-
-@asynccontextmanager
-async def devices_on(
-    vehicle_under_test: VehicleUnderTest, *, images: Path | None, clock: SystemClock, note: Callable[[str], None]
-) -> AsyncIterator[tuple[Devices, Rig]]:
-    """A vehicle with gimbal and camera, found and streaming while the block runs; in the air, if it is ours to fly.
-
-    It lands after the block, but not after one that failed: what is simulated just ends then.
-
-    Raises:
-        PanoexecError: it could not be started, found or flown.
-    """
-    async with AsyncExitStack() as stack:
-        rig = await stack.enter_async_context(vehicle_under_test.running(images=images, note=note))
-        link = await stack.enter_async_context(MavsdkLink(rig.connection, clock=clock))
-        gimbal = await stack.enter_async_context(MavsdkGimbal(link))
-        camera = await stack.enter_async_context(MavsdkCamera(link))
-        vehicle = await stack.enter_async_context(MavsdkVehicle(link))
-        await link.wait_autopilot(FIND_S)
-        found = await gimbal.discover(FIND_S)
-        await camera.discover(FIND_S)
-        rig.about["gimbal_feedback"] = found.feedback
-        rig.about["autopilot_version"] = await _autopilot_version(link)
-        devices = Devices(gimbal=gimbal, camera=camera, vehicle=vehicle)
-        if not rig.must_fly:
-            yield devices, rig
-            return
-        pilot = MavsdkPilot(link, vehicle, clock=clock)
-        note("waiting for GPS and estimator, then taking off")
-        await pilot.take_off(HOVER_M)
-        note(f"hovering at {HOVER_M:g} m")
-        yield devices, rig
-        note("landing")
-        try:
-            await pilot.land()
-        except DeviceError as error:  # the panorama is taken all the same; its summary must not be lost
-            note(str(error))
-            rig.about["landed"] = False
-        else:
-            rig.about["landed"] = True
-        note("landed and disarmed")
-
-
-async def _autopilot_version(link: MavsdkLink) -> str:
-    """Its firmware's version as AUTOPILOT_VERSION (148) tells it, "" if it does not."""
-    try:
-        fields = (await link.request_message(148, "AUTOPILOT_VERSION")).fields
-    except DeviceError:
-        return ""
-    word = int(fields["flight_sw_version"])
-    major, minor, patch, kind = word >> 24 & 0xFF, word >> 16 & 0xFF, word >> 8 & 0xFF, word & 0xFF
-    return f"{major}.{minor}.{patch}" + {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}.get(kind, "")
-
-
-def _settings_on(rig: Rig, devices: Devices, settings: MissionSettings, note: Callable[[str], None]) -> MissionSettings:
-    """The settings for this vehicle: one that stands on a bench is not asked to hover."""
-    if not rig.may_stand or devices.vehicle.status.in_air:
-        return settings
-    note("the vehicle stands on the ground and is left there: no guard of its flight")
-    return replace(settings, guards=replace(settings.guards, position_hold=False, position_drift_m=math.inf))
 
 
 def physical_limit_s(
