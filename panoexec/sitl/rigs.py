@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -208,15 +208,11 @@ async def _watch(simulator: SimulatorProcess) -> None:
 
 
 @contextlib.asynccontextmanager
-async def _watching(*watches: Awaitable[None]) -> AsyncIterator[None]:
+async def _watching(*watches: Coroutine[Any, Any, None]) -> AsyncIterator[None]:
     """Run the block beside watches that raise when something dies; the block is cancelled then."""
-
-    async def run(watch: Awaitable[None]) -> None:
-        await watch
-
     try:
         async with asyncio.TaskGroup() as group:
-            tasks = [group.create_task(run(watch), name="rig watch") for watch in watches]
+            tasks = [group.create_task(watch, name="rig watch") for watch in watches]
             yield
             for task in tasks:
                 task.cancel()
