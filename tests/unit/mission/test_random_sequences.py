@@ -1,6 +1,6 @@
 """Thousands of missions under random commands, faults, stops and kills; every invariant is checked after each.
 
-`PANOEXEC_SEQUENCES` sets how many (default 2000); a failing one prints its seed, `PANOEXEC_SEED` repeats just that one.
+`PANOEXEC_SEQUENCES` sets how many (default 1000); a failing one prints its seed, `PANOEXEC_SEED` repeats just that one.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from tests.unit.fakes.process import Process
 from tests.unit.fakes.virtual import run_virtual
 from tests.unit.fakes.world import World, a_plan, a_world, some_settings
 
-COUNT = int(os.environ.get("PANOEXEC_SEQUENCES", "2000"))
+COUNT = int(os.environ.get("PANOEXEC_SEQUENCES", "1000"))
 CHUNK = 50
 METRE = 1 / 111_194.9
 FAST = GimbalLimits(
