@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from panoexec.sim.camera import CameraModel, Exposure, Look, Refusal
 from panoexec.sim.component import NAN, Command, Component, bitmask, command_of, padded
@@ -22,7 +22,9 @@ from panoexec.sim.world import SimClock, Timeline
 COMPONENT_ID = mavlink.MAV_COMP_ID_CAMERA
 VENDOR = "panoexec"
 _URL_BYTES = 205
-_RETRANSMISSION_S = 1.5
+_RETRANSMISSION_S = 0.8
+"""Wall time within which a repeated command is a retransmission; MAVSDK repeats after 0.5 s."""
+_RETRANSMISSIONS = 3
 _POSITION_INTERVAL_US = 200_000
 _POSITION_LOST_S = 3.0
 _DRIFT_HOLD_S = 0.7
@@ -53,6 +55,27 @@ class Fix:
     heading_deg: float = NAN
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhotoCommand:
+    """The photo command that came last, and how it was answered (None = not at all)."""
+
+    command: Command
+    sent_s: float
+    result: int | None
+    repeats: int = 0
+
+    def is_repeated_by(self, other: Command, wall_s: float) -> bool:
+        """Whether another command is this one again.
+
+        A retransmission counts up `confirmation`; MAVSDK's does not, and is only told from a new command by its
+        sequence number (param4) and by coming soon after one that was not answered.
+        """
+        same = other.sender == self.command.sender and other.params == self.command.params
+        if not same or wall_s > _RETRANSMISSION_S or self.repeats >= _RETRANSMISSIONS:
+            return False
+        return other.confirmation > 0 or self.result is None
+
+
 class CameraComponent:
     """Takes photos on command, reports each, keeps its storage's account.
 
@@ -81,7 +104,7 @@ class CameraComponent:
         self._develop = develop
         self._system_id = config.system_id
         self._captured: dict[int, Message] = {}
-        self._last_photo: tuple[tuple[int, int], float, int | None] = ((0, 0), -math.inf, None)
+        self._last_photo: PhotoCommand | None = None
         self._sequence_left = 0
         self._actions: dict[int, Callable[[Command], int | None]] = {
             mavlink.MAV_CMD_IMAGE_START_CAPTURE: self._start_capture,
@@ -181,14 +204,14 @@ class CameraComponent:
 
     def _start_capture(self, command: Command) -> int | None:
         now = self._timeline.now_s
-        sender, last_s, last_result = self._last_photo
-        wall_s = (now - last_s) / self._clock.speedup
-        if command.confirmation > 0 and sender == command.sender and wall_s < _RETRANSMISSION_S:
-            # the same command again, because the sender saw no answer: answer it again, do not take two photos
-            return last_result
+        last = self._last_photo
+        if last is not None and last.is_repeated_by(command, (now - last.sent_s) / self._clock.speedup):
+            # the sender saw no answer: answer it again if it was answered, do not take two photos
+            self._last_photo = replace(last, sent_s=now, repeats=last.repeats + 1)
+            return last.result
         self._faults.photo_commanded(now)
         result = self._shoot(command)
-        self._last_photo = (command.sender, now, result)
+        self._last_photo = PhotoCommand(command=command, sent_s=now, result=result)
         return result
 
     def _shoot(self, command: Command) -> int | None:

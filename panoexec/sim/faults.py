@@ -80,7 +80,9 @@ FAULTS: dict[str, Fault] = {
     "mode-change": Fault(kind=Kind.ONCE, text="the pilot changes the flight mode to STABILIZE"),
     "photo-lost": Fault(kind=Kind.PHOTO, text="the photo command is lost on its way: no answer, no photo"),
     "photo-refused": Fault(kind=Kind.PHOTO, text="the camera refuses the photo command"),
-    "capture-lost": Fault(kind=Kind.PHOTO, text="the photo is taken, its message is lost"),
+    "capture-lost": Fault(
+        kind=Kind.PHOTO, text="the photo is taken, its message is lost (a MAVLink camera repeats it when asked)"
+    ),
     "capture-twice": Fault(kind=Kind.PHOTO, text="the photo is reported twice"),
     "storage-full": Fault(kind=Kind.SPAN, text="no room for another photo", duration_s=math.inf),
     "battery-low": Fault(kind=Kind.ONCE, text="the battery falls to the size", size=0.12, unit="fraction"),

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 from panoexec.sim.airframe import Airframe
 from panoexec.sim.camera import CameraModel, Exposure
-from panoexec.sim.camera_component import Fix, look_at, slip_if_drifting
+from panoexec.sim.camera_component import Fix, PhotoCommand, look_at, slip_if_drifting
 from panoexec.sim.component import NAN, Builder, Command
 from panoexec.sim.config import SimConfig
 from panoexec.sim.dialect import mavlink
@@ -53,6 +54,7 @@ class CameraTrigger:
         self._faults = faults
         self._develop = develop
         self._count = 0
+        self._last_photo: PhotoCommand | None = None
         self._last_feedback = mavlink.MAVLink_camera_feedback_message(*(0,) * 13, 0)
         self._boot_ms: Callable[[], int] = lambda: 0
         self._airframe: Airframe | None = None
@@ -81,7 +83,16 @@ class CameraTrigger:
             return accepted
         if command.id not in (mavlink.MAV_CMD_IMAGE_START_CAPTURE, mavlink.MAV_CMD_DO_DIGICAM_CONTROL):
             return accepted
-        self._faults.photo_commanded(self._timeline.now_s)
+        now, last = self._timeline.now_s, self._last_photo
+        if last is not None and last.is_repeated_by(command, (now - last.sent_s) / self._clock.speedup):
+            self._last_photo = replace(last, sent_s=now, repeats=last.repeats + 1)
+            return last.result
+        self._faults.photo_commanded(now)
+        result = self._trigger()
+        self._last_photo = PhotoCommand(command=command, sent_s=now, result=result)
+        return result
+
+    def _trigger(self) -> int | None:
         if self._faults.photo("photo-lost"):
             return None
         if self._faults.photo("photo-refused"):
@@ -94,7 +105,7 @@ class CameraTrigger:
             self._send(message)
             if self._faults.photo("capture-twice"):
                 self._timeline.after(0.2, lambda: self._send(message))
-        return accepted
+        return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def _feedback(self) -> Message:
         assert self._airframe is not None

@@ -157,15 +157,27 @@ def test_the_pilot_changes_the_mode(autopilot: Any, before: int, after: int) -> 
     assert (modes[0], modes[-1]) == (before, after)
 
 
-def test_a_photo_command_is_lost_with_its_retransmissions() -> None:
+@pytest.mark.parametrize("counts", [True, False])
+def test_a_photo_command_is_lost_with_its_retransmissions(counts: bool) -> None:
+    """MAVSDK repeats after 0.5 s, three times, with the same sequence number and without counting `confirmation`."""
     bench = Bench("photo-lost=#1")
-    assert bench.shoot(0.5)[0] is None
-    bench.peer.send(command(mavlink.MAV_CMD_IMAGE_START_CAPTURE, 0, 0, 1, 1, to=100, confirmation=1))
-    heard = bench.peer.listen(1.5)
-    assert result_of(heard, SHOOT.command, 100) is None
+    for repeat in range(4):
+        again = command(mavlink.MAV_CMD_IMAGE_START_CAPTURE, 0, 0, 1, 7, to=100, confirmation=repeat if counts else 0)
+        bench.peer.send(again)
+        assert result_of(bench.peer.listen(0.5), again.command, 100) is None
+    bench.peer.listen(1.0)
     assert bench.exposures == []
     assert bench.shoot()[0] == ACCEPTED
     assert len(bench.exposures) == 1
+
+
+def test_a_new_command_soon_after_a_lost_one_is_no_retransmission() -> None:
+    bench = Bench("photo-lost=#1")
+    first, second = (command(mavlink.MAV_CMD_IMAGE_START_CAPTURE, 0, 0, 1, n, to=100) for n in (7, 8))
+    bench.peer.send(first)
+    bench.peer.listen(0.2)
+    bench.peer.send(second)
+    assert result_of(bench.peer.listen(0.5), second.command, 100) == ACCEPTED
 
 
 def test_a_photo_is_refused() -> None:
@@ -238,3 +250,19 @@ def test_faults_combine() -> None:
     _, heard = bench.shoot(3.0)
     assert count(heard, "CAMERA_IMAGE_CAPTURED") == 2
     assert bench.exposures[0]["estimated_yaw_roll_pitch_deg"][2] == pytest.approx(-10.0, abs=0.2)
+
+
+def test_a_servo_camera_loses_commands_and_refuses_and_keeps_silent_too() -> None:
+    config = SimConfig(
+        camera_kind="servo",
+        faults=tuple(parse_fault(t) for t in ("photo-lost=#1", "photo-refused=#2", "capture-lost=#3")),
+    )
+    peer = EmbeddedPeer(config)
+    seen = []
+    for number in (1, 1, 2, 3, 4):
+        peer.send(command(mavlink.MAV_CMD_IMAGE_START_CAPTURE, 0, 0, 1, number))
+        heard = peer.listen(0.5)
+        seen.append((result_of(heard, mavlink.MAV_CMD_IMAGE_START_CAPTURE), count(heard, "CAMERA_FEEDBACK")))
+        peer.listen(0.6 if number > 1 else 0.0)
+    assert seen == [(None, 0), (None, 0), (mavlink.MAV_RESULT_DENIED, 0), (ACCEPTED, 0), (ACCEPTED, 1)]
+    assert len([event for event in peer.truth.events if event["event"] == "exposure"]) == 2
