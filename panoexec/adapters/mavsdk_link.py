@@ -42,6 +42,7 @@ REQUEST_MESSAGE: Final = 512
 FAST_STREAMS: Final = ("GIMBAL_DEVICE_ATTITUDE_STATUS", "ATTITUDE")
 _SEVERITY_NOTICE: Final = 5
 _TICK_S: Final = 0.25
+_LOOK_S: Final = 0.05
 _SILENT_REOPEN_S: Final = 5.0
 
 _log = structlog.get_logger(__name__)
@@ -386,7 +387,7 @@ class MavsdkLink:
             silent = time.monotonic() - since > _SILENT_REOPEN_S
             if not self._session.is_open or (silent and self.url.kind == "serial"):
                 await self._session.reopen()
-            await asyncio.sleep(_TICK_S)
+            await asyncio.sleep(_TICK_S if silent else _LOOK_S)
         vehicle = system.get_system_id()
         self._vehicle_system = vehicle
         if self._own_system is None:
