@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import shutil
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -63,7 +63,13 @@ class Missions:
     """
 
     def __init__(
-        self, *, config: Callable[[], Config], clock: Clock, sink: EventSink, changed: Callable[[], None]
+        self,
+        *,
+        config: Callable[[], Config],
+        clock: Clock,
+        sink: EventSink,
+        changed: Callable[[], None],
+        prepare: Callable[[], Awaitable[None]],
     ) -> None:
         """Describe it.
 
@@ -72,6 +78,7 @@ class Missions:
             clock: of missions.
             sink: gets the events.
             changed: called when a mission begins or ends.
+            prepare: makes the vehicle's streams flow as a mission needs them; awaited before each.
         """
         self.record: MissionRecord | None = None
         self.plan: Plan | None = None
@@ -81,6 +88,7 @@ class Missions:
         self._clock = clock
         self._sink = sink
         self._changed = changed
+        self._prepare = prepare
         self._next: asyncio.Queue[tuple[StoredMission, Devices, Reference]] = asyncio.Queue()
         self._claimed = False
         self._idle = asyncio.Event()
@@ -191,6 +199,8 @@ class Missions:
             vehicle={"id": section.id, "connection": section.connection or f"serial {section.serial}"},
             reference=reference,
         )
+        # a gimbal that still names us as the one in control, after a crash, is not acquired anew
+        await self._prepare()
         with structlog.contextvars.bound_contextvars(mission_id=stored.directory.mission_id):
             async with opened as session:
                 self.mission, self.record, self.plan = session.mission, session.mission.record, stored.plan
