@@ -25,6 +25,7 @@ from panoexec.planning.model import (
 )
 from panoexec.planning.overlap import pairwise_overlap
 from panoexec.planning.published import PUBLISHED, published_plan
+from panoexec.planning.worst_overlap import ErrorCorners, surely_overlap, worst_pair_overlaps
 from tests.unit.planning.brute import (
     PAPER,
     SCENARIO_2,
@@ -189,6 +190,32 @@ def test_the_closing_pair_of_a_full_circle_counts_and_that_of_a_sector_does_not(
     sector = Band(elevation_min_deg=-5.0, elevation_max_deg=5.0, azimuth_min_deg=-5.0, azimuth_max_deg=340.0)
     cut_open = certify_poses(SCENARIO_2, demand(sector, overlap=0.1), row, rows)
     assert cut_open.min_overlap_h == pytest.approx(0.266, abs=1e-3)
+
+
+def test_rows_look_down_as_well_as_up() -> None:
+    """The last image of the upper row meets nobody below; all those below are well covered from above."""
+    attitudes = rotation([-14.0, 0.0, 14.0, -14.0, 0.0, 14.0, 28.0], [-6.0] * 3 + [6.0] * 4)
+    band = Band(elevation_min_deg=-8.0, elevation_max_deg=8.0, azimuth_min_deg=-18.0, azimuth_max_deg=18.0)
+    certificate = certify_poses(SCENARIO_2, demand(band), attitudes, [0] * 3 + [1] * 4)
+    assert certificate.weakest_v == 6
+    assert certificate.min_overlap_v == pytest.approx(0.1, abs=0.02)
+    assert {line.split(":")[0] for line in certificate.failures} == {"C3"}
+    assert certify_poses(SCENARIO_2, demand(band), attitudes[:6], [0] * 3 + [1] * 3).certified
+
+
+def test_the_graph_counts_what_only_the_close_bound_can_see() -> None:
+    """Outer images of three share little more than 5 % in the worst case: too little for the rough bound to tell."""
+    band = Band(elevation_min_deg=-5.0, elevation_max_deg=5.0, azimuth_min_deg=-12.0, azimuth_max_deg=12.0)
+    first, second = np.array([0, 2]), np.array([2, 0])
+    for half, held in ((9.4, True), (9.8, False)):
+        row = rotation([-half, 0.0, half], [0.0] * 3)
+        corners = ErrorCorners.of(SCENARIO_2, row, PAPER)
+        assert not surely_overlap(corners, first, second, 0.05).any()
+        assert (worst_pair_overlaps(corners, first, second).min() >= 0.05) is np.bool_(held)
+        certificate = certify_poses(SCENARIO_2, demand(band, tolerance=PAPER), row, [0] * 3)
+        assert certificate.connected
+        assert certificate.two_edge_connected is held
+        assert certificate.bridges == (() if held else ((0, 1), (1, 2)))
 
 
 def test_a_mask_excuses_the_pair_across_it_and_nothing_else() -> None:

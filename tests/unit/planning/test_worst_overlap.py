@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 
 from panoexec.angles import rotation, yaw_pitch_roll
 from panoexec.optics import Camera
+from panoexec.planning.footprint import edge_normals
 from panoexec.planning.model import NO_TOLERANCE, Tolerance
 from panoexec.planning.overlap import pairwise_overlap, union_overlap
 from panoexec.planning.worst_overlap import (
@@ -120,6 +123,28 @@ def test_the_bound_of_a_row_is_close(pitch: float) -> None:
     (bound,) = worst_union_overlaps(ErrorCorners.of(SCENARIO_2, attitudes, PAPER), ONE, partners, present)
     errors = taken(attitudes, PAPER, 400, 2)
     assert bound > union_overlap(SCENARIO_2, errors[:, 0], errors[:, 1:]).min() - 0.012
+
+
+@pytest.mark.parametrize("tolerance", [PAPER, TWO_DEGREES, Tolerance(pitch_deg=0.0, roll_deg=9.0, yaw_deg=0.0)])
+def test_edges_stay_near_what_the_corners_interpolate(tolerance: Tolerance) -> None:
+    """The lemma under the bounds: an edge normal is never farther from the interpolation than the remainder."""
+    rng = np.random.default_rng(3)
+    attitudes = rotation([0.0, 15.0], [-40.0, -52.0])
+    corners = ErrorCorners.of(SCENARIO_2, attitudes, tolerance)
+    reach = np.sqrt(1 + SCENARIO_2.half_width**2 + SCENARIO_2.half_height**2)
+    taus = np.array([t for t in (tolerance.yaw_deg, tolerance.pitch_deg, tolerance.roll_deg) if t])
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=len(taus))))
+    yaw, pitch, roll = yaw_pitch_roll(attitudes)
+    farthest = 0.0
+    for share in [np.zeros((2, 3)), *rng.uniform(-1, 1, (200, 2, 3))]:
+        used = share[:, [t > 0 for t in (tolerance.yaw_deg, tolerance.pitch_deg, tolerance.roll_deg)]]
+        weights = np.prod((1 + signs * used[:, None]) / 2, axis=2)
+        between = np.einsum("nc,ncij->nij", weights, corners.extreme)
+        errors = share * [tolerance.yaw_deg, tolerance.pitch_deg, tolerance.roll_deg]
+        exact = rotation(yaw + errors[:, 0], pitch + errors[:, 1], roll + errors[:, 2])
+        difference = edge_normals(SCENARIO_2) @ (exact[1].T @ exact[0] - between[1].T @ between[0])
+        farthest = max(farthest, float(np.linalg.norm(difference, axis=1).max()))
+    assert 0.3 * corners.remainder < farthest * reach <= corners.remainder
 
 
 def test_without_tolerance_the_bounds_are_the_overlaps() -> None:
