@@ -1,0 +1,125 @@
+"""Missions on the embedded vehicle under its faults, over real UDP and MAVSDK.
+
+`PANOEXEC_ALL_FAULTS=1` flies one mission for every fault of the simulator instead of a few.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("pymavlink")
+
+from panoexec.dryrun import DryRunOptions, DryRunSummary, resume_dry_run, run_dry_run
+from panoexec.events import Event, MissionPaused, ShotAccepted
+from panoexec.mission.settings import GuardSettings, MissionSettings
+from panoexec.planning.model import Band, Constraints, Plan, Shot, Tolerance
+from panoexec.sim.config import AirframeConfig, CameraConfig, SimConfig
+from panoexec.sim.faults import parse_fault
+
+TOLERANCE = Tolerance(pitch_deg=0.25, roll_deg=0.25, yaw_deg=1.0)
+SPEEDUP = 2.0
+
+
+def _plan(count: int) -> Plan:
+    shots = tuple(Shot(index=i, row=0, pitch_deg=-25.0, yaw_deg=-180.0 + 360.0 * i / count) for i in range(count))
+    band = Band(elevation_min_deg=-30.0, elevation_max_deg=-20.0)
+    return Plan(
+        method="certified",
+        camera=CameraConfig().optics,
+        constraints=Constraints(overlap_h=0.1, overlap_v=0.1, band=band, tolerance=TOLERANCE),
+        shots=shots,
+    )
+
+
+def _options(storage: Path, *faults: str, count: int = 8, images: bool = False, **simulation: Any) -> DryRunOptions:
+    settings = MissionSettings(
+        tolerance=TOLERANCE,
+        exposure_s=0.01,
+        interval_s=1.0,
+        max_rate_deg_s=4.0,
+        max_pause_s=15.0,
+        # a busy test machine delays messages by tens of milliseconds, which count twice at this speed-up
+        max_gap_s=0.25,
+        guards=GuardSettings(allowed_modes=("OFFBOARD", "HOLD"), position_drift_m=20.0, attitude_silence_s=1.5),
+    )
+    config = SimConfig(
+        speedup=SPEEDUP,
+        faults=tuple(parse_fault(fault) for fault in faults),
+        camera=CameraConfig(interval_s=1.0, render_width_px=160),
+        airframe=AirframeConfig(wind_m_s=1.0),
+    )
+    return DryRunOptions(
+        plan=_plan(count),
+        settings=settings,
+        simulation=replace(config, **simulation),
+        storage=storage,
+        images=images,
+    )
+
+
+async def _fly(options: DryRunOptions) -> tuple[DryRunSummary, list[Event]]:
+    events: list[Event] = []
+    async with asyncio.timeout(120):
+        return await run_dry_run(options, on_event=events.append), events
+
+
+async def test_a_mission_survives_many_faults_at_once(tmp_path: Path) -> None:
+    faults = ["photo-refused=#2", "capture-twice=#3", "link-loss=4+5", "control-stolen=16", "attitude-stop=24+4"]
+    summary, events = await _fly(_options(tmp_path, *faults, count=12))
+    assert summary.state == "complete"
+    codes = {code for event in events if isinstance(event, MissionPaused) for code in event.code.split("+")}
+    assert codes >= {"attitude", "gimbal_control"}
+    assert Counter(event.shot for event in events if isinstance(event, ShotAccepted)) == dict.fromkeys(range(12), 1)
+
+
+async def test_the_pilot_takes_over_and_the_mission_can_be_resumed_afterwards(tmp_path: Path) -> None:
+    summary, events = await _fly(_options(tmp_path, "mode-change=3"))
+    assert summary.state == "failed"
+    assert "the pilot has taken over" in summary.reason
+    assert any(event.type == "gimbal_released" for event in events)
+    async with asyncio.timeout(120):
+        summary = await resume_dry_run(summary.directory, simulation=lambda config: replace(config, faults=()))
+    assert summary.state == "complete"
+
+
+ALL_FAULTS = {
+    "link-loss=3+5": "complete",
+    "reboot=4": "complete",
+    "attitude-stop=3+4": "complete",
+    "attitude-frozen=3+4": "complete",
+    "attitude-nan=3+4": "complete",
+    "gimbal-stuck=3+6": "complete",
+    "gimbal-slow=3+10": "complete",
+    "drift=0.4": "complete",
+    "control-stolen=4": "complete",
+    "mode-change=4": "failed",
+    "photo-lost=#2,#3": "complete",
+    "photo-refused=#2,#3": "complete",
+    "capture-lost=#2,#3": "complete",
+    "capture-twice=#2,#3": "complete",
+    "storage-full=4+6": "complete",
+    "battery-low=4": "failed",
+    "gust=3+6": "complete",
+    "clock-jump=4": "complete",
+}
+
+
+@pytest.mark.skipif("PANOEXEC_ALL_FAULTS" not in os.environ, reason="PANOEXEC_ALL_FAULTS=1 flies all of them (6 min)")
+@pytest.mark.parametrize("fault", ALL_FAULTS)
+async def test_each_fault_ends_as_documented(tmp_path: Path, fault: str) -> None:
+    summary, _ = await _fly(_options(tmp_path, fault))
+    assert summary.state == ALL_FAULTS[fault]
+    assert not summary.missing or summary.state == "failed"
+
+
+def test_every_fault_of_the_simulator_is_flown() -> None:
+    from panoexec.sim.faults import FAULTS  # noqa: PLC0415
+
+    assert {fault.partition("=")[0] for fault in ALL_FAULTS} == set(FAULTS)
