@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
+from panoexec.adapters.connection_url import parse_connection
 from panoexec.errors import DeviceError, PanoexecError, UsageError
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import AUTOPILOT_FAULTS
@@ -144,11 +145,12 @@ class ConnectedVehicle:
     simulation: SimConfig
 
     def __post_init__(self) -> None:
-        """Refuse what a real autopilot cannot be told.
+        """Refuse what a real autopilot cannot be told, and a connection that is none.
 
         Raises:
             UsageError: naming it.
         """
+        parse_connection(self.connection)
         check_payload_only(self.simulation, option="--sitl-connect")
         if self.simulation.faults and self.simulation.attach_url is None:
             name = self.simulation.faults[0].name

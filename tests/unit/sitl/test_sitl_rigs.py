@@ -55,6 +55,11 @@ def test_the_wind_is_full_where_the_vehicle_hovers() -> None:
     assert told["SIM_WIND_T_ALT"] < 30
 
 
+def test_a_connection_that_is_none_is_refused_before_anything_starts() -> None:
+    with pytest.raises(UsageError, match="foo://bar"):
+        ConnectedVehicle(connection="foo://bar", simulation=SimConfig())
+
+
 async def test_a_connected_vehicle_starts_nothing_and_is_not_flown() -> None:
     vehicle = ConnectedVehicle(connection="udpin://0.0.0.0:14550", simulation=SimConfig(speedup=3.0))
     async with vehicle.running(images=None, note=silent) as rig:

@@ -1,0 +1,197 @@
+"""The dry-run on ArduPilot's own software. Opt in: ARDUPILOT_SITL=/path/to/arducopter pytest tests/system/test_sitl.py
+
+At five times real time; a machine that is busy with other things may not get that fast, and then a photo here and there
+is rejected and taken again. What is asserted holds all the same.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from panoexec.sim.config import AirframeConfig
+from panoexec.sitl.autopilot import BINARY_VARIABLE, free_udp_ports, sitl_binary
+
+SPEEDUP = "5"
+MISSION = ("--method", "paper", "--wind", "8", "--speedup", SPEEDUP, "--image-width", "200")
+WHOLE = ("--camera", "dji-x5s-15mm", "--overlap", "0.15", "--elevation", "-90", "30")
+SMALL = ("--elevation", "-20", "20", "--azimuth", "-40", "40")
+
+pytestmark = pytest.mark.skipif(
+    not os.environ.get(BINARY_VARIABLE), reason=f"set {BINARY_VARIABLE} to an ArduCopter SITL binary to run it"
+)
+
+
+def command(*arguments: str, output: Path) -> list[str]:
+    return [sys.executable, "-m", "panoexec", "dry-run", *MISSION, *arguments, "--output", str(output), "--json"]
+
+
+def children_of(pid: int) -> set[int]:
+    """All processes below one."""
+    parents: dict[int, int] = {}
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdigit():
+            with contextlib.suppress(OSError):
+                stat = (folder / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+                parents[int(folder.name)] = int(stat[1])
+    found: set[int] = set()
+    grown = {pid}
+    while grown:
+        grown = {child for child, parent in parents.items() if parent in grown} - found
+        found |= grown
+    return found
+
+
+def living(pids: set[int]) -> dict[int, str]:
+    """Those that still run, with their command lines; ids may be used again, so an empty one is nobody's."""
+    found = {}
+    for pid in pids:
+        with contextlib.suppress(OSError):
+            folder = Path(f"/proc/{pid}")
+            if (folder / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z":
+                found[pid] = (folder / "cmdline").read_text(encoding="utf-8").replace("\0", " ")
+    return {pid: line for pid, line in found.items() if "arducopter" in line or "panoexec" in line}
+
+
+def assert_none_left(pids: set[int], *, within_s: float) -> None:
+    deadline = time.monotonic() + within_s
+    while living(pids) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert living(pids) == {}
+
+
+@contextlib.contextmanager
+def in_the_middle(tmp_path: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[str], set[int]]]:
+    """A mission on SITL that has taken its second photo, and everything that it started."""
+    with subprocess.Popen(
+        command(*WHOLE, *arguments, output=tmp_path),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"TMPDIR": str(tmp_path)},
+    ) as process:
+        assert process.stderr is not None
+        said = []
+        for line in process.stderr:
+            said.append(line)
+            if "shot 1, attempt" in line:
+                break
+        else:
+            pytest.fail("no mission: " + "".join(said))
+        children = children_of(process.pid)
+        assert any("arducopter" in line for line in living(children).values())
+        yield process, children
+
+
+def manifest_in(folder: Path) -> dict[str, Any]:
+    (path,) = folder.glob("missions/*/manifest.json")
+    return dict(json.loads(path.read_text(encoding="utf-8")))
+
+
+def test_a_whole_panorama_in_wind_and_back_on_the_ground(tmp_path: Path) -> None:
+    done = subprocess.run(
+        command("--sitl", *WHOLE, output=tmp_path), capture_output=True, text=True, timeout=400, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert (summary["state"], summary["missing"]) == ("complete", [])
+    assert summary["uncovered_fraction"] == 0
+    assert summary["vehicle"]["landed"] is True
+    assert summary["vehicle"]["autopilot_version"].startswith("4.")
+    # the best that a camera can say of each photo: a message of its own
+    assert set(summary["evidence"]) <= {"capture_message", "file_seen"}
+    assert sum(summary["evidence"].values()) == summary["shots"]
+    manifest = manifest_in(tmp_path)
+    home = AirframeConfig()
+    for shot in manifest["shots"]:
+        attempt = next(a for a in shot["attempts"] if a["number"] == shot["accepted_attempt"])
+        assert abs(attempt["error_deg"]["pitch"]) <= 0.1
+        assert abs(attempt["error_deg"]["roll"]) <= 0.1
+        assert abs(attempt["error_deg"]["yaw"]) <= 0.7
+        assert (Path(summary["directory"]) / shot["file"]).stat().st_size > 0
+    position = manifest["position"]
+    assert position["latitude_deg"] == pytest.approx(home.latitude_deg, abs=1e-4)
+    assert position["longitude_deg"] == pytest.approx(home.longitude_deg, abs=1e-4)
+    assert position["altitude_m"] == pytest.approx(home.home_altitude_m + 30.0, abs=3.0)
+
+
+def test_ctrl_c_ends_everything_and_the_mission_goes_on_later(tmp_path: Path) -> None:
+    with in_the_middle(tmp_path, "--sitl") as (process, children):
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 130
+        assert_none_left(children, within_s=0.0)
+    assert list(tmp_path.glob("panoexec-sitl-*")) == []
+    (mission,) = tmp_path.glob("missions/*")
+    taken = sum(shot["status"] == "accepted" for shot in manifest_in(tmp_path)["shots"])
+    assert taken >= 1
+    done = subprocess.run(
+        [sys.executable, "-m", "panoexec", "dry-run", "--resume", str(mission), "--json"],
+        capture_output=True,
+        text=True,
+        timeout=400,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert (summary["state"], summary["missing"]) == ("complete", [])
+    assert summary["vehicle"]["landed"] is True
+
+
+def test_nothing_outlives_a_dry_run_that_is_killed(tmp_path: Path) -> None:
+    with in_the_middle(tmp_path, "--sitl") as (process, children):
+        process.send_signal(signal.SIGKILL)
+        process.wait(10)
+        # the renderer may have photos to finish
+        assert_none_left(children, within_s=30.0)
+
+
+def test_a_sitl_that_dies_ends_the_dry_run_with_its_name(tmp_path: Path) -> None:
+    with in_the_middle(tmp_path, "--sitl") as (process, children):
+        (sitl,) = [pid for pid, line in living(children).items() if line.startswith(str(sitl_binary(None)))]
+        os.kill(sitl, signal.SIGKILL)
+        _, error = process.communicate(timeout=60)
+        assert process.returncode == 3
+        assert f"{sitl_binary(None)} has ended by itself (signal 9)" in error.splitlines()[-1]
+        assert_none_left(children, within_s=0.0)
+
+
+def test_a_vehicle_that_runs_already_is_neither_armed_nor_flown_nor_ended(tmp_path: Path) -> None:
+    ground_port, payload_port, rc_port, irlock_port = free_udp_ports(4)
+    parameters = Path(__file__).parents[2] / "config" / "ardupilot-sitl.parm"
+    with subprocess.Popen(
+        [
+            str(sitl_binary(None)),
+            *("--model", "+", "--wipe", "--speedup", SPEEDUP, "--defaults", str(parameters)),
+            *("--home", "47.397742,8.545594,488,20", "--serial2", "none"),
+            # ports that wait to be called, as sim_vehicle.py opens them
+            *("--serial0", f"tcp:{ground_port}", "--serial1", f"tcp:{payload_port}"),
+            *("--rc-in-port", str(rc_port), "--irlock-port", str(irlock_port)),
+        ],
+        cwd=tmp_path,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    ) as sitl:
+        try:
+            connect = ("--sitl-connect", f"tcp:127.0.0.1:{ground_port}", "--attach", f"tcp:127.0.0.1:{payload_port}")
+            done = subprocess.run(
+                command(*connect, *SMALL, output=tmp_path), capture_output=True, text=True, timeout=200, check=False
+            )
+            assert done.returncode == 0, done.stderr
+            assert "stands on the ground" in done.stderr
+            summary = json.loads(done.stdout)
+            assert summary["state"] == "complete"
+            assert "landed" not in summary["vehicle"]
+            assert sitl.poll() is None
+        finally:
+            sitl.terminate()
+            sitl.wait(10)
