@@ -34,7 +34,7 @@ class AttitudeSample:
     """One attitude report of the gimbal, as sent. Numbers may be NaN when the device says so: never within τ.
 
     Attributes:
-        received_s: when it arrived.
+        received_s: when it arrived, freed of jitter where the sender stamps its messages: never later than the arrival.
         vehicle_s: when it was measured, the sender's boot time; NaN if not told.
         q_wxyz: camera (FRD) to the frame that `yaw_frame` names.
         yaw_frame: what the attitude is relative to.

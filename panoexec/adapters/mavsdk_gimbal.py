@@ -27,6 +27,7 @@ from panoexec.adapters.attitude_messages import (
 from panoexec.adapters.gimbal_heading import HeadingBlend
 from panoexec.adapters.mavsdk_link import MavsdkLink
 from panoexec.adapters.message_hub import MavMessage
+from panoexec.adapters.steady_stamps import SteadyStamps
 from panoexec.adapters.stream_keeper import AUTOPILOT
 from panoexec.devices import AttitudeFeed, YawFrame
 from panoexec.errors import DeviceError
@@ -96,6 +97,7 @@ class MavsdkGimbal:
         self._frame = _FRAMES.get(feedback) if feedback else None
         self._buffer = AttitudeBuffer(autopilot_component=AUTOPILOT)
         self._heading = HeadingBlend()
+        self._stamps: dict[tuple[int, str], SteadyStamps] = {}
         self._stated = YawFrame.VEHICLE
         self._found: GimbalFound | None = None
         self._limits: GimbalLimits | None = None
@@ -252,11 +254,12 @@ class MavsdkGimbal:
         if self._found is not None and device not in (0, self._found.device_id):
             return  # a second mount of the vehicle
         self._sample_s = time.monotonic()
+        sent_s = self._sent_s(message)
         heading_deg = math.nan
         if message.component_id != AUTOPILOT:
-            heading_deg = self._heading.gimbal(told_heading_deg(message.fields), message.received_s)
+            heading_deg = self._heading.gimbal(told_heading_deg(message.fields), sent_s)
         self._stated = yaw_frame(int(message.fields["flags"]))
-        sample = gimbal_sample(message.fields, message.received_s, self._frame, heading_deg=heading_deg)
+        sample = gimbal_sample(message.fields, sent_s, self._frame, heading_deg=heading_deg)
         self._buffer.put_sample(sample, message.component_id)
         source = message.component_id, self._stated, sample.yaw_frame
         if source != self._source and self._buffer.source_component == message.component_id:
@@ -265,8 +268,14 @@ class MavsdkGimbal:
 
     def _airframe(self, message: MavMessage) -> None:
         if message.component_id == AUTOPILOT:
-            self._buffer.put_vehicle(vehicle_attitude(message.fields, message.received_s))
-            self._heading.vehicle(math.degrees(number(message.fields["yaw"])), message.received_s)
+            sent_s = self._sent_s(message)
+            self._buffer.put_vehicle(vehicle_attitude(message.fields, sent_s))
+            self._heading.vehicle(math.degrees(number(message.fields["yaw"])), sent_s)
+
+    def _sent_s(self, message: MavMessage) -> float:
+        """When a message was sent, free of the jitter with which it arrived; one stream a component and kind."""
+        stamps = self._stamps.setdefault((message.component_id, message.name), SteadyStamps())
+        return stamps.sent_s(number(message.fields["time_boot_ms"]) / 1000.0, message.received_s)
 
     def _information(self, message: MavMessage) -> None:
         limits = manager_limits(message.fields)
