@@ -41,6 +41,7 @@ VERBS: dict[str, Verb] = {
     "simulate": Verb("simulate", "run the simulated vehicle alone, to try a ground station or `serve`", extra="sim"),
     "serve": Verb("serve", "run the daemon that a ground station commands by MQTT"),
     "send": Verb("send", "ask a vehicle for something by MQTT and show its answer"),
+    "watch": Verb("watch", "watch vehicles by MQTT: live progress and shots"),
     "check-config": Verb("check_config", "tell every problem of a configuration at once"),
 }
 

@@ -7,7 +7,7 @@ import json
 import math
 import os
 import uuid
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
 from types import TracebackType
@@ -121,7 +121,7 @@ class GroundStation:
             raise LinkError(f"the broker was lost: {error}") from error
         raise AssertionError("the messages never end")
 
-    async def listen(self, vehicle: str | None) -> AsyncIterator[Heard]:
+    async def listen(self, vehicle: str | None) -> AsyncGenerator[Heard, None]:
         """What vehicles say, the retained things first.
 
         Args:

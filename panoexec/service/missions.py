@@ -202,11 +202,15 @@ class Missions:
         # a gimbal that still names us as the one in control, after a crash, is not acquired anew
         await self._prepare()
         with structlog.contextvars.bound_contextvars(mission_id=stored.directory.mission_id):
-            async with opened as session:
-                self.mission, self.record, self.plan = session.mission, session.mission.record, stored.plan
-                self._changed()
-                record = await session.run()
-                _log.info("mission ended", state=record.state.value, reason=record.reason)
+            try:
+                async with opened as session:
+                    self.mission, self.record, self.plan = session.mission, session.mission.record, stored.plan
+                    self._changed()
+                    record = await session.run()
+                    _log.info("mission ended", state=record.state.value, reason=record.reason)
+            finally:
+                if devices.gimbal.in_control:
+                    await devices.gimbal.release()
 
     async def _offer_again(self) -> None:
         """A mission that failed or was interrupted can be resumed without a new process."""
