@@ -148,6 +148,7 @@ class PoseReader:
         self._reference = reference_yaw_north_deg
         self._readings: deque[Reading] = deque(maxlen=4096)
         self._newest_s = -math.inf
+        self._newest: AttitudeSample | None = None
         self._last: Quaternion | None = None
         self._run = 1
         self._pairs = 0
@@ -170,8 +171,11 @@ class PoseReader:
 
     def _read_on(self, since_s: float) -> None:
         # what nobody asks for is not composed; but the run of equal samples is followed from a little before
-        for sample in self._feed.since(max(self._newest_s, since_s - 1.0)):
-            self._newest_s = sample.received_s
+        # and samples may share a stamp, so it is by the sample itself that one knows where one was
+        samples = list(self._feed.since(max(self._newest_s, since_s - 1.0) - 1e-9))
+        known = next((i for i, sample in enumerate(samples) if sample is self._newest), -1)
+        for sample in samples[known + 1 :]:
+            self._newest, self._newest_s = sample, sample.received_s
             reading = read_pose(sample, self._feed.vehicle_attitude_at(sample), self._reference)
             self._readings.append(self._checked(sample.q_wxyz, reading))
 

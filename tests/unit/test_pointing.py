@@ -291,3 +291,12 @@ def test_a_gimbal_that_always_repeats_itself_only_echoes_and_is_not_called_froze
     reader, good = _reader(still)
     assert not reader.measures
     assert all(good)
+
+
+def test_samples_that_share_a_stamp_are_all_read_and_none_twice() -> None:
+    feed = FakeFeed(clock=VirtualClock())
+    reader = PoseReader(feed=feed, reference_yaw_north_deg=0.0)
+    for i, stamp in enumerate([0.1, 0.1, 0.2, 0.2, 0.2, 0.3]):
+        feed.push(AttitudeSample(stamp, stamp, _q(rotation(i * 0.01, -20.0)), YawFrame.EARTH, 0.0))
+        assert len(reader.since(0.0)) == i + 1
+    assert len(reader.since(0.2)) == 1
