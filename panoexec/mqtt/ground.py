@@ -6,6 +6,7 @@ import asyncio
 import json
 import math
 import os
+import socket
 import uuid
 from collections.abc import AsyncGenerator
 from contextlib import AsyncExitStack
@@ -65,6 +66,8 @@ class GroundStation:
             keepalive=settings.keepalive_s,
             timeout=_CONNECT_S,
             tls_context=await asyncio.to_thread(tls_context, settings),
+            # small packets must not wait for the acknowledgement of the one before (40 ms each)
+            socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
         )
         try:
             self._client = await self._stack.enter_async_context(client)

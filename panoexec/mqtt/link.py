@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import math
 import random
+import socket
 import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
@@ -316,6 +317,8 @@ class MqttLink:
             keepalive=settings.keepalive_s,
             timeout=_CONNECT_S,
             tls_context=tls,
+            # small packets must not wait for the acknowledgement of the one before (40 ms each)
+            socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
             queue_type=_Inbox,
             max_queued_incoming_messages=_INCOMING,
             max_inflight_messages=_BATCH + 4,
