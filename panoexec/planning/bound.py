@@ -7,8 +7,8 @@ Let N images cover the part D of the sphere. Two bounds, of which the larger one
   as its solid angle holds such lower images.
 * **Shared parts.** With more than one image, C2 or C3 makes every image share at least the fraction f = min(overlap_h,
   overlap_v) of its area with others (two images in a row with each other; else with the next row). That part has at
-  least the solid angle s that the image's outermost fraction f has. A direction that m ≥ 2 images see is counted m times
-  in the sum of their solid angles Ω, so m - 1 ≥ m/2 times too often: N·Ω ≥ D + N·s/2.
+  least the solid angle s that the image's outermost fraction f has. A direction that m ≥ 2 images see is counted m
+  times in the sum of their solid angles Ω, so m - 1 ≥ m/2 times too often: N·Ω ≥ D + N·s/2.
 
 Masks are taken off D, each with all of its solid angle inside the band, so overlapping masks only lower the bound.
 """
@@ -20,6 +20,7 @@ import math
 import numpy as np
 
 from panoexec.optics import Camera
+from panoexec.planning.adjacency import MUTUAL_OVERLAP
 from panoexec.planning.model import AngleBox, Band, Constraints
 
 _RAYS = 400
@@ -32,7 +33,11 @@ def least_images(camera: Camera, constraints: Constraints) -> int:
     certain = math.ceil(domain / core - 1e-9) if core > 0 else 1
     if certain <= 1 and domain <= camera.solid_angle_sr:
         return 1
-    shared = _outermost_sr(camera, min(constraints.overlap_h, constraints.overlap_v))
+    least_overlap = min(constraints.overlap_h, constraints.overlap_v)
+    if constraints.masks:
+        # neighbours with only a mask between them need not overlap, but then C4 wants some other to
+        least_overlap = min(least_overlap, MUTUAL_OVERLAP)
+    shared = _outermost_sr(camera, least_overlap)
     return max(certain, math.ceil(domain / (camera.solid_angle_sr - shared / 2) - 1e-9), 1)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,9 +10,9 @@ import numpy as np
 from panoexec.angles import rotation
 from panoexec.errors import PlanningError
 from panoexec.optics import Camera
-from panoexec.planning.model import Constraints, GimbalLimits
+from panoexec.planning.model import NO_TOLERANCE, Constraints, GimbalLimits, Tolerance
 from panoexec.planning.robust import robust_cores
-from panoexec.planning.row_family import NeighbourDemand
+from panoexec.planning.row_family import MOST_IN_A_ROW, NeighbourDemand
 from panoexec.planning.row_rules import Demands, RowRules
 from panoexec.planning.row_search import RowSearch
 from panoexec.planning.variants import worst_loss
@@ -24,7 +25,7 @@ _STEPS = 40
 def refusal(camera: Camera, constraints: Constraints) -> PlanningError:
     """The error that says why no plan was found."""
     return PlanningError(
-        _tolerance_eats_image(camera, constraints)
+        tolerance_eats_image(camera, constraints)
         or _gimbal(camera, constraints)
         or _overlap(camera, constraints)
         or _tolerance(camera, constraints)
@@ -32,14 +33,33 @@ def refusal(camera: Camera, constraints: Constraints) -> PlanningError:
     )
 
 
-def _tolerance_eats_image(camera: Camera, constraints: Constraints) -> str | None:
+def too_dense(camera: Camera, constraints: Constraints) -> str | None:
+    """Why the overlaps ask for more images than anybody takes; None if they do not."""
+    exact = NeighbourDemand(planned=constraints.overlap_h, worst=0.0, tolerance=NO_TOLERANCE)
+    finest = np.array([360.0 / MOST_IN_A_ROW])
+    # at the pitch of the band that is nearest to the horizon neighbours are closest
+    band = constraints.band
+    flattest = 0.0 if band.elevation_min_deg <= 0 <= band.elevation_max_deg else 45.0
+    if exact.surplus(camera, np.array([flattest]), finest)[0] < 0:
+        return (
+            f"horizontal overlap {constraints.overlap_h:g} takes more than {MOST_IN_A_ROW} images in one row: "
+            "ask for less overlap"
+        )
+    step = camera.vfov_deg / 2 + math.degrees(math.atan(camera.half_height * (1 - 2 * constraints.overlap_v)))
+    rows = (band.elevation_max_deg - band.elevation_min_deg) / max(step, 1e-12)
+    if rows > MOST_IN_A_ROW:
+        return f"vertical overlap {constraints.overlap_v:g} takes more than {MOST_IN_A_ROW} rows: ask for less overlap"
+    return None
+
+
+def tolerance_eats_image(camera: Camera, constraints: Constraints) -> str | None:
+    """Why no image is sure to see anything; None if some are."""
     t = constraints.tolerance
     cores = robust_cores(camera, rotation(0.0, np.array(_PITCHES_DEG)), t)
     if not cores.empty.all():
         return None
     return (
-        f"tolerances of {t.pitch_deg:g}° (pitch), {t.roll_deg:g}° (roll) and {t.yaw_deg:g}° (yaw) leave nothing that an "
-        f"image of {camera.hfov_deg:.3g}° x {camera.vfov_deg:.3g}° is sure to see: "
+        f"tolerances of {_text(t)} leave nothing that an image of {_size(camera)} is sure to see: "
         f"pitch must stay below {camera.vfov_deg / 2:.3g}°, roll and yaw well below {camera.hfov_deg / 2:.3g}°"
     )
 
@@ -143,9 +163,17 @@ def _tolerance(camera: Camera, constraints: Constraints) -> str | None:
         feasible = _feasible(camera, replace(constraints, tolerance=less))
         low, high = (middle, high) if feasible else (low, middle)
     return (
-        f"with tolerances of {t.pitch_deg:g}° (pitch), {t.roll_deg:g}° (roll) and {t.yaw_deg:g}° (yaw) no rows of images "
-        f"of {camera.hfov_deg:.3g}° x {camera.vfov_deg:.3g}° are sure to close the band: about {low:.0%} of them would do"
+        f"with tolerances of {_text(t)} no rows of images of {_size(camera)} are sure to "
+        f"close the band: about {low:.0%} of these tolerances would do"
     )
+
+
+def _text(tolerance: Tolerance) -> str:
+    return f"{tolerance.pitch_deg:g}° (pitch), {tolerance.roll_deg:g}° (roll) and {tolerance.yaw_deg:g}° (yaw)"
+
+
+def _size(camera: Camera) -> str:
+    return f"{camera.hfov_deg:.3g}° x {camera.vfov_deg:.3g}°"
 
 
 def _feasible(camera: Camera, constraints: Constraints) -> bool:

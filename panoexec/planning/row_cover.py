@@ -67,7 +67,7 @@ class CoreEdges:
 def meridian_intervals(
     planes: FloatArray, azimuth_deg: ArrayLike, allowance_deg: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Intervals (..., m) of elevations that half-spaces (..., k, 3) leave of meridians (..., m); see the module's text."""
+    """Intervals (..., m) of elevations that half-spaces (..., k, 3) leave of meridians (..., m), see the module."""
     azimuth = np.radians(np.asarray(azimuth_deg, dtype=np.float64))[..., None, :]
     level = planes[..., 0, None] * np.cos(azimuth) + planes[..., 1, None] * np.sin(azimuth)
     steep = planes[..., 2, None]

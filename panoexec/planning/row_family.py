@@ -19,6 +19,9 @@ HAIR = 1e-7
 
 MOST_IN_A_ROW = 5000
 
+_HOPELESS = 100
+"""Where no number of images does at the horizon: so many are tried towards the poles."""
+
 _NODES = 33
 _STEPS = 60
 
@@ -69,6 +72,8 @@ class NeighbourSpacing:
     def most_images(self, around_deg: float) -> int:
         """How many neighbours' spacings fill so many degrees at any pitch, at most `MOST_IN_A_ROW`."""
         at_horizon = float(self._widest_spacing(np.zeros(1))[0])
+        if at_horizon == 0:
+            return _HOPELESS
         return MOST_IN_A_ROW if at_horizon * MOST_IN_A_ROW <= around_deg else math.ceil(around_deg / at_horizon)
 
     def least_steep_deg(self, spacing_deg: FloatArray) -> FloatArray:

@@ -23,8 +23,9 @@ _NO_REACH_DEG = 181.0
 class RowLayout:
     """How many images of a row stand how far apart, and where.
 
-    The gimbal's pan range leaves a *blind* arc of yaws. Where it lies inside the band's azimuths, two neighbours stand at
-    its ends, or further apart, and bridge it; where it cuts off an end of a sector, the outer image stands at its edge.
+    The gimbal's pan range leaves a *blind* arc of yaws. Where it lies inside the band's azimuths, two neighbours stand
+    at its ends, or further apart, and bridge it; where it cuts off an end of a sector, the outer image stands at its
+    edge.
 
     Attributes:
         closed: whether rows close on themselves (the band is a full circle).

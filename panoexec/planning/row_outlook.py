@@ -31,10 +31,12 @@ _MANY = 40
 """In rows of so many images one more or less hardly changes how high the next row can stand."""
 
 _LOW_DEG = 8.0
+_WANTED_MANY = 6e-4
 _TALL_DEG = 60.0
 """With a larger vertical field of view steps are not measured: there are only a few rows."""
 
-_NEVER = 10**7
+NEVER = 10**7
+"""Images above a row from which no way leads on."""
 
 
 class Outlook:
@@ -42,6 +44,7 @@ class Outlook:
 
     Attributes:
         longest_step: the longest step from a row to the next, in vertical fields of view.
+        wanted: margin of pairs of rows that steps are measured with.
     """
 
     def __init__(self, rules: RowRules) -> None:
@@ -53,6 +56,8 @@ class Outlook:
         count = max(2, math.ceil((high - low) / height * grid) + 1)
         self._grid = np.linspace(low, high, count)
         self._step = float(self._grid[1] - self._grid[0]) or 1.0
+        self._many = int(rules.fewest(np.zeros(1))[0]) >= _MANY
+        self.wanted = _WANTED_MANY if self._many else 0.0
         steps_deg = self._steps_deg(self._grid)
         self.longest_step = float(steps_deg.max()) / height
         self._closing = self._closing_counts()
@@ -60,15 +65,15 @@ class Outlook:
 
     def least_after(self, pitch_deg: float) -> int:
         """Fewest images above a row that does not reach the band's upper end itself."""
-        return int(self._after[self._index(pitch_deg)])
+        return round(float(self._after[self._index(pitch_deg)]))
 
     def least_above(self, pitch_deg: float, count: int) -> int:
         """Fewest images above a row that may reach it."""
         i = self._index(pitch_deg)
-        return 0 if count >= self._closing[i] else int(self._after[i])
+        return 0 if float(self._closing[i]) <= count else round(float(self._after[i]))
 
     def _index(self, pitch_deg: float) -> int:
-        i = math.ceil((pitch_deg - self._grid[0]) / self._step - 1e-6)
+        i = math.ceil((pitch_deg - float(self._grid[0])) / self._step - 1e-6)
         return min(max(i, 0), len(self._grid) - 1)
 
     def smooth_step_deg(self, pitch_deg: FloatArray, low_count: IntArray, high_count: IntArray) -> FloatArray:
@@ -86,8 +91,7 @@ class Outlook:
         # an endless strip of images along a great circle, of which C3 asks `overlap_v`
         strip = height / 2 + math.degrees(math.atan(half * (1 - 2 * rules.overlap_v)))
         limit = np.full(len(pitch_deg), min(strip * _POLAR_GENEROUS, height))
-        many = bool(rules.fewest(np.zeros(1))[0] >= _MANY)
-        nodes = np.linspace(-_STEEPEST_DEG, _STEEPEST_DEG - strip, 4 * _NODES if many else _NODES)
+        nodes = np.linspace(-_STEEPEST_DEG, _STEEPEST_DEG - strip, 4 * _NODES if self._many else _NODES)
         nodes = nodes[(nodes > rules.pitch_deg[0]) & (nodes + strip < rules.pitch_deg[1])]
         if not len(nodes) or not rules.layout.closed or height > _TALL_DEG:
             return limit
@@ -95,7 +99,7 @@ class Outlook:
         nodes, found = nodes[~np.isnan(found)], found[~np.isnan(found)]
         if not len(nodes):
             return limit
-        if many:
+        if self._many:
             self._smooth = nodes, found - nodes
         measured = np.interp(pitch_deg, nodes, found - nodes + _GENEROUS * height)
         inner = (pitch_deg >= nodes[0]) & (pitch_deg <= nodes[-1])
@@ -108,7 +112,8 @@ class Outlook:
         high = np.where((low >= _MANY) & (np.gcd(low, high) > 1), high + 1, high)
         pairs = rules.pairs(nodes, low, high)
         stop = nodes + min(height, strip_deg * _POLAR_GENEROUS)
-        return highest_pitch(rules.margin, pairs, nodes + 0.3 * height, stop, np.zeros(len(nodes)), height)
+        wanted = np.full(len(nodes), self.wanted)
+        return highest_pitch(rules.margin, pairs, nodes + 0.3 * height, stop, wanted=wanted, height_deg=height)
 
     def _closing_counts(self) -> FloatArray:
         """Fewest images with which rows on the grid reach the band's upper end, infinite where none do."""
@@ -133,4 +138,4 @@ class Outlook:
             after[i] = cost[i + 1 : i + 1 + reach[i]].min()
             cost[i] = min(cost[i], fewest[i] + after[i])
         # rows that are too low for the band's top but cannot go higher have no future
-        return np.where(np.isinf(after), _NEVER, after)
+        return np.where(np.isinf(after), NEVER, after)

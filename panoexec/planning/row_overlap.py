@@ -6,9 +6,9 @@ those that see a direction follow each other, and what their union sees of anoth
     Σᵢ area(A ∩ Bᵢ) - Σᵢ area(A ∩ Bᵢ ∩ Bᵢ₊₁),
 
 as a direction seen by k of them is counted k times and taken off k - 1 times. Each term is the cut of half-planes, and
-the area of such a cut is by Green's theorem half the sum over its border lines of distance from the origin times length,
-the length being what the other half-planes leave of the line. The far edge of the Bᵢ, which A does not reach, is left
-out. None of this holds about a pole, where images meet again on the far side.
+the area of such a cut is by Green's theorem half the sum over its border lines of distance from the origin times
+length, the length being what the other half-planes leave of the line. The far edge of the Bᵢ, which A does not reach,
+is left out. None of this holds about a pole, where images meet again on the far side.
 
 For any row, and faster still where 1e-3 will do, A is cut into narrow columns (at Gauss and Legendre's abscissae): in a
 column every other image is one interval, and the union of intervals is found exactly.
@@ -120,7 +120,7 @@ def _seen(camera: Camera, pitch_deg: FloatArray, row_pitch_deg: FloatArray, yaws
 
 
 def _area(planes: FloatArray) -> FloatArray:
-    """Areas (...) of cuts of half-planes (..., l, 3), rows (c, a, b) with c + a·y + b·z ≥ 0, a² + b² = 1; NaN for NaN."""
+    """Areas (...) of cuts of half-planes (..., l, 3), c + a·y + b·z ≥ 0 with a² + b² = 1; NaN for NaN."""
     c, a, b = planes[..., 0], planes[..., 1], planes[..., 2]
     # points of line i: -c·(a, b) + t·(-b, a); half-plane j leaves start + t·slope ≥ 0 of it
     slope = b[..., None, :] * a[..., :, None]

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from panoexec.angles import FloatArray
 from panoexec.optics import Camera
@@ -39,6 +40,9 @@ _WIDEST_DEG = 100.0
 
 Seeing = Callable[[Camera, FloatArray, FloatArray, FloatArray], FloatArray]
 """A way to find overlaps, see `panoexec.planning.row_overlap.seen_by_row`."""
+
+_OpenRows = tuple[FloatArray, FloatArray, IntArray]
+"""Pitch, spacing and count of rows, each (k,)."""
 
 _AROUND = 180
 _NOT_CLOSED = -1.0
@@ -116,8 +120,8 @@ class PairMargin:
         high = pairs.high_deg, high_spacing, pairs.high_count
         if not self._layout.closed:
             least = np.minimum(
-                self._shared_open(grain, *low, *high) - pairs.low_demand,
-                self._shared_open(grain, *high, *low) - pairs.high_demand,
+                self._shared_open(grain, low, high) - pairs.low_demand,
+                self._shared_open(grain, high, low) - pairs.high_demand,
             )
             return _any_phase(least)
         by_low, by_high = self._shared(grain, pairs.low_deg, *high), self._shared(grain, pairs.high_deg, *low)
@@ -154,15 +158,19 @@ class PairMargin:
         few, many = grain.positions
         polar = np.maximum(self._half_azimuth(pitch_deg), self._half_azimuth(row_deg)) > _POLAR_DEG
         polar |= spacing_deg > _WIDEST_DEG
-        rows = pitch_deg, row_deg, spacing_deg, count
         roughly: Seeing = partial(seen_in_columns, columns=grain.columns)
         usually: Seeing = seen_by_row if grain.exact else roughly
+
+        def seen(which: NDArray[np.bool_], positions: int, seeing: Seeing) -> FloatArray:
+            row = row_deg[which], spacing_deg[which], count[which]
+            return self._seen_from(positions, seeing, pitch_deg[which], row=row)
+
         if not polar.any():
-            return self._seen_from(few, usually, *rows)
+            return seen(~polar, few, usually)
         out = np.empty((len(pitch_deg), many))
-        out[polar] = self._seen_from(many, roughly, *(a[polar] for a in rows)) - (_ROUGHNESS if grain.exact else 0.0)
+        out[polar] = seen(polar, many, roughly) - (_ROUGHNESS if grain.exact else 0.0)
         if not polar.all():
-            rest = self._seen_from(few, usually, *(a[~polar] for a in rows))
+            rest = seen(~polar, few, usually)
             out[~polar] = _interpolate(rest, np.broadcast_to(np.linspace(0.0, 0.5, many), (len(rest), many)))
         return out
 
@@ -171,10 +179,10 @@ class PairMargin:
         positions: int,
         seen: Seeing,
         pitch_deg: FloatArray,
-        row_deg: FloatArray,
-        spacing_deg: FloatArray,
-        count: IntArray,
+        *,
+        row: tuple[FloatArray, FloatArray, IntArray],
     ) -> FloatArray:
+        row_deg, spacing_deg, count = row
         position = np.linspace(0.0, 0.5, positions)
         most = self._reaching(pitch_deg, row_deg, spacing_deg, count)
         steps = np.arange(most) - (most - 1) // 2
@@ -212,17 +220,10 @@ class PairMargin:
             out[:, i] = gap.min(axis=1)
         return out
 
-    def _shared_open(
-        self,
-        grain: Grain,
-        pitch_deg: FloatArray,
-        spacing_deg: FloatArray,
-        count: IntArray,
-        row_deg: FloatArray,
-        row_spacing_deg: FloatArray,
-        row_count: IntArray,
-    ) -> FloatArray:
-        """Least overlap (k,) of the images of one half of a sector's row with the next row."""
+    def _shared_open(self, grain: Grain, images: _OpenRows, next_rows: _OpenRows) -> FloatArray:
+        """Least overlap (k,) of the images of one half of sectors' rows with the next rows."""
+        pitch_deg, spacing_deg, count = images
+        row_deg, row_spacing_deg, row_count = next_rows
         half = int(((count + 1) // 2).max())
         probes = np.unique(
             np.concatenate([np.arange(min(half, 4)), np.linspace(0, half - 1, min(half, 8)).astype(int)])

@@ -20,6 +20,8 @@ from panoexec.planning.row_steps import highest_pitch
 
 _LADDER = (0.0, 1e-3, 4e-3, 0.015, 0.05)
 _RUNGS = 5
+_MOST_ROWS = 40
+"""With more rows than this the slack is shared out only roughly."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +64,7 @@ def polish(rules: RowRules, path: Sequence[tuple[float, int]], least_margin: flo
     if not reaches[0]:
         return None
     last = int(np.nonzero(reaches)[0][-1])
-    if last + 1 < len(ladder):
+    if last + 1 < len(ladder) and len(path) <= _MOST_ROWS:
         ladder = np.linspace(ladder[last], ladder[last + 1], _RUNGS + 1)[:-1]
         pitches = _climb(rules, path, ladder)
         reaches = _reaches(rules, path[-1][1], pitches[-1])
@@ -95,7 +97,9 @@ def _climb(rules: RowRules, path: Sequence[tuple[float, int]], margins: FloatArr
             low, high = np.minimum(low, high)[possible], high[possible]
             before = np.full(len(possible), path[i - 1][1])
             pairs = rules.pairs(out[i - 1][possible], before, np.full(len(possible), count))
-            out[i, possible] = highest_pitch(rules.margin, pairs, low, high, margins[possible], height)
+            out[i, possible] = highest_pitch(
+                rules.margin, pairs, low, high, wanted=margins[possible], height_deg=height
+            )
     return out
 
 

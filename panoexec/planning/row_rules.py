@@ -90,7 +90,7 @@ class RowRules:
         if self.demands.worst_v == 0:
             return planned
         loss = np.zeros(len(pitch_deg)) if self._loss is None else self._loss(pitch_deg)
-        return np.maximum(planned, self.demands.worst_v + loss)
+        return np.asarray(np.maximum(planned, self.demands.worst_v + loss))
 
     def band(self, pitch_deg: FloatArray, count: IntArray) -> tuple[FloatArray, FloatArray]:
         """Elevations that rows cover all round, whatever the errors: lowest and highest, each (k,)."""
@@ -171,7 +171,7 @@ class RowRules:
         candidates = np.linspace(max(bottom, min(top, low - height)), max(bottom, min(top, low + height)), _CANDIDATES)
         fewest, most = self.counts_between(float(candidates[0]), float(candidates[-1]))
         counts = np.arange(fewest, most + more_images + 1)
-        pitch, count = (np.asarray(a).ravel() for a in np.meshgrid(candidates, counts, indexing="ij"))
+        pitch, count = np.repeat(candidates, len(counts)), np.tile(counts, len(candidates))
         good = self._begins(pitch, count)
         highest = np.array([pitch[good & (count == c)].max(initial=-np.inf) for c in counts.tolist()])
         counts, highest = counts[np.isfinite(highest)], highest[np.isfinite(highest)]

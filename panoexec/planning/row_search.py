@@ -22,7 +22,7 @@ import numpy as np
 
 from panoexec.angles import FloatArray
 from panoexec.planning.row_layout import IntArray
-from panoexec.planning.row_outlook import Outlook
+from panoexec.planning.row_outlook import NEVER, Outlook
 from panoexec.planning.row_rules import RowRules
 from panoexec.planning.row_steps import highest_pitch
 
@@ -93,13 +93,16 @@ class RowSearch:
 
     Args:
         rules: what rows have to satisfy.
-        wanted: margin that pairs of rows have to have.
+
+    Attributes:
+        wanted: margin that pairs of rows have to have: in plans with very many rows a little, as those are not looked
+            at one by one.
     """
 
-    def __init__(self, rules: RowRules, wanted: float = 0.0) -> None:
+    def __init__(self, rules: RowRules) -> None:
         self._rules = rules
-        self._wanted = wanted
         self._outlook = Outlook(rules)
+        self.wanted = self._outlook.wanted
         self._steps: list[_Step] = []
         self._labels: list[tuple[int, Label]] = []
         self._known = _Front(rules.camera.vfov_deg)
@@ -108,14 +111,16 @@ class RowSearch:
 
     @property
     def least_images(self) -> int | None:
-        """Fewest images that the relaxation allows; None if there is no first row."""
-        promises = [promise for promise, _ in self._labels]
+        """Fewest images that the relaxation allows; None if it allows no way."""
+        promises = [promise for promise, _ in self._labels if promise < NEVER]
         return min(promises) if promises else None
 
     def waves(self) -> Iterator[tuple[int, list[Label]]]:
         """Totals in ascending order, each with the complete labels that have it, those with the most to spare first."""
         while self._labels or self._steps:
             total = min([promise for promise, _ in self._labels] + [step.promise for step in self._steps])
+            if total >= NEVER:
+                return
             total += int(_AT_ONCE * total)
             complete: list[Label] = []
             while True:
@@ -186,9 +191,9 @@ class RowSearch:
         exact = np.nonzero(np.isnan(pitch))[0]
         pitch[pitch < start] = np.nan
         pairs = rules.pairs(low_deg[exact], low_count[exact], count[exact])
-        wanted = np.full(len(exact), self._wanted)
+        wanted = np.full(len(exact), self.wanted)
         height = rules.camera.vfov_deg
-        pitch[exact] = highest_pitch(rules.margin, pairs, start[exact], stop[exact], wanted, height)
+        pitch[exact] = highest_pitch(rules.margin, pairs, start[exact], stop[exact], wanted=wanted, height_deg=height)
         good = ~np.isnan(pitch)
         before: list[Label | None] = [step.label for step, g in zip(steps, good.tolist(), strict=True) if g]
         self._add(pitch[good], count[good], before, start[good])

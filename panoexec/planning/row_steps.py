@@ -24,7 +24,7 @@ _SETTLED = 3e-4
 
 
 def highest_pitch(
-    margin: PairMargin, pairs: Pairs, start: FloatArray, stop: FloatArray, wanted: FloatArray, height_deg: float
+    margin: PairMargin, pairs: Pairs, start: FloatArray, stop: FloatArray, *, wanted: FloatArray, height_deg: float
 ) -> FloatArray:
     """The greatest pitch of the higher rows with which pairs have a wanted margin.
 
@@ -51,7 +51,11 @@ def highest_pitch(
     best[value >= 0] = guess[value >= 0]
     unsettled = (np.abs(value) > _SETTLED) & ~((value > 0) & (guess >= stop)) & (np.abs(value) < _CLOSE)
     if unsettled.any():
-        _settle(rough, exact, which[unsettled], guess[unsettled], value[unsettled], start, stop, best, height_deg)
+        limits = start[unsettled], stop[unsettled]
+        settled = _settled(
+            rough, exact, which[unsettled], (guess[unsettled], value[unsettled]), limits=limits, height_deg=height_deg
+        )
+        best[unsettled] = np.fmax(best[unsettled], settled)
     missing = np.nonzero(np.isnan(best))[0]
     if len(missing):
         best[missing] = last_nonnegative(
@@ -82,30 +86,33 @@ class _Surplus:
         return np.asarray(margins.max(axis=1) - self._wanted[which])
 
 
-def _settle(
+def _settled(
     rough: _Surplus,
     exact: _Surplus,
     which: IntArray,
-    x: FloatArray,
-    value: FloatArray,
-    start: FloatArray,
-    stop: FloatArray,
-    best: FloatArray,
+    guess: tuple[FloatArray, FloatArray],
+    *,
+    limits: tuple[FloatArray, FloatArray],
     height_deg: float,
-) -> None:
-    """Newton and secant steps from pitches near the wanted ones; puts good ones into `best`."""
+) -> FloatArray:
+    """The greatest good pitches (m,) that Newton and secant steps from near ones come to, NaN for none."""
+    x, value = guess
     nudge = 0.02 * height_deg
     slope = np.minimum((rough(which, x) - rough(which, x - nudge)) / nudge, -0.1 / height_deg)
+    best = np.full(len(which), np.nan)
+    open_ones: IntArray = np.arange(len(which))
     for _ in range(2):
+        start, stop = limits[0][open_ones], limits[1][open_ones]
         # aim a little low, so that the answer is on the good side
-        following = np.clip(x + (value - _SETTLED / 3) / -slope, start[which], stop[which])
-        new = exact(which, following)
-        good = (new >= 0) & ~(best[which] >= following)
-        best[which[good]] = following[good]
+        following = np.clip(x + (value - _SETTLED / 3) / -slope, start, stop)
+        new = exact(which[open_ones], following)
+        good = new >= 0
+        best[open_ones[good]] = np.fmax(best[open_ones[good]], following[good])
         moved = np.abs(following - x) > 1e-9
         slope = np.where(moved, (new - value) / np.where(moved, following - x, 1.0), slope)
         slope = np.minimum(slope, -0.1 / height_deg)
-        again = ((new < 0) | (new > _SETTLED)) & moved & ~((new > 0) & (following >= stop[which]))
-        which, x, value, slope = which[again], following[again], new[again], slope[again]
-        if not len(which):
+        again = ((new < 0) | (new > _SETTLED)) & moved & ~((new > 0) & (following >= stop))
+        open_ones, x, value, slope = open_ones[again], following[again], new[again], slope[again]
+        if not len(open_ones):
             break
+    return best

@@ -12,6 +12,7 @@ a single row or column, which is a chain that breaks at any link) the search is 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +24,7 @@ from panoexec.planning.bound import least_images
 from panoexec.planning.certificate import certify, certify_poses
 from panoexec.planning.duration import estimate
 from panoexec.planning.model import Certificate, Constraints, GimbalLimits, Plan, Shot, Timing
-from panoexec.planning.refusal import refusal
+from panoexec.planning.refusal import refusal, tolerance_eats_image, too_dense
 from panoexec.planning.request import MAX_IMAGES, check_request
 from panoexec.planning.row_polish import Rows, polish
 from panoexec.planning.row_rules import RowRules
@@ -36,6 +37,9 @@ _LABELS_TRIED = 3
 """So many ways of one total are tried before a larger total is."""
 
 _MOST_TRIED = 30
+_LOOSE_TRIED = 6
+"""After so many plans that only C4 keeps from being certified, more is asked of the rows."""
+
 _MANY = 500
 _RETRIES = 2
 _DECIMALS = 7
@@ -61,6 +65,9 @@ def plan_certified(
         PlanningError: nothing can be planned; the message names the constraint and by how much it fails.
     """
     check_request(camera, constraints)
+    hopeless = too_dense(camera, constraints) or tolerance_eats_image(camera, constraints)
+    if hopeless:
+        raise PlanningError(hopeless)
     found = _Planner(camera, constraints).best()
     limits, costs = constraints.gimbal or GimbalLimits(), timing or Timing()
     shots = order_shots(found.shots, limits, costs, order=order or "fastest")
@@ -72,7 +79,21 @@ def plan_certified(
         estimate=estimate(shots, camera, limits, costs),
         lower_bound=least_images(camera, constraints),
     )
-    return replace(plan, certificate=certify(plan))
+    if not found.certificate.certified:
+        return replace(plan, certificate=certify(plan))
+    return replace(plan, certificate=_renamed(found, shots))
+
+
+def _renamed(found: _Found, shots: Sequence[Shot]) -> Certificate:
+    """The certificate of shots that were put into another order."""
+    place = {(shot.row, shot.yaw_deg): shot.index for shot in shots}
+    name = [place[shot.row, shot.yaw_deg] for shot in found.shots]
+    pair, image = found.certificate.weakest_h, found.certificate.weakest_v
+    return replace(
+        found.certificate,
+        weakest_h=None if pair is None else (name[pair[0]], name[pair[1]]),
+        weakest_v=None if image is None else name[image],
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,61 +123,73 @@ class _Planner:
         Raises:
             PlanningError: there is none.
         """
-        rules: RowRules | None = None
+        group = 0
         for variant in variants(self._camera, self._constraints):
-            if self._best is not None and self._best.certificate.certified and not variant.may_be_better:
-                continue
-            rules = RowRules(self._camera, self._constraints, variant.demands, variant.loss)
-            self._try(rules)
+            if self._best is not None and self._best.certificate.certified and variant.group > group:
+                break
+            group = variant.group
+            some = self._try(RowRules(self._camera, self._constraints, variant.demands, variant.loss))
+            if not some and group == 0:
+                break  # all other variants ask for more
         if self._best is None:
             raise refusal(self._camera, self._constraints)
         if self._asked.masks and self._best.certificate.certified:
             shots = thinned(self._camera, self._asked, self._best.shots)
-            return _Found(shots, self._best.certificate)
+            return _Found(shots, _verdict(self._camera, self._asked, shots))
         return self._best
 
-    def _try(self, rules: RowRules) -> None:
-        """Look for a certified plan with fewer images than the best one so far."""
+    def _try(self, rules: RowRules) -> bool:
+        """Look for a certified plan with fewer images than the best one so far; tells whether rows close the band."""
         search = RowSearch(rules)
-        if search.least_images is not None and search.least_images > MAX_IMAGES:
+        if search.least_images is None:
+            return False
+        if search.least_images > MAX_IMAGES:
             raise PlanningError(
                 f"at least {search.least_images} images are needed, more than the {MAX_IMAGES} that panoexec plans: "
                 "ask for less overlap, a smaller band or a shorter focal length"
             )
-        tried = 0
+        tried = loose = 0
+        some = False
         for total, labels in search.waves():
             if self._best is not None and self._best.certificate.certified and total >= self._best.certificate.images:
-                return
+                return True
+            some = True
             for label in labels[:_LABELS_TRIED]:
+                found = self._judged_label(rules, label, search.wanted)
+                if found is None:
+                    continue
+                if self._best is None or found.rank < self._best.rank:
+                    self._best = found
+                if found.certificate.certified:
+                    return True
                 tried += 1
-                if self._certified(rules, label):
-                    return
-            if tried >= (_MOST_TRIED if total < _MANY else _MOST_TRIED // 5):
-                return
+                loose += not found.certificate.two_edge_connected
+            if loose >= _LOOSE_TRIED or tried >= (_MOST_TRIED if total < _MANY else _MOST_TRIED // 5):
+                return True
+        return some
 
-    def _certified(self, rules: RowRules, label: Label) -> bool:
-        """Whether rows of a label's counts can be certified; keeps them if so, or if they are the nearest to it."""
-        margin = 0.0
+    def _judged_label(self, rules: RowRules, label: Label, margin: float) -> _Found | None:
+        """Rows of a label's counts with their verdict; None where they do not reach the top of the band."""
+        found: _Found | None = None
         for _ in range(1 + _RETRIES):
             rows = polish(rules, label.path(), margin)
             if rows is None:
-                return False
+                break
             found = self._judged(rules, rows)
-            if self._best is None or found.rank < self._best.rank:
-                self._best = found
-            if found.certificate.certified:
-                return True
-            lacking = _lacking(found.certificate, self._constraints)
+            lacking = None if found.certificate.certified else _lacking(found.certificate, self._constraints)
             if lacking is None:
-                return False
+                break
             margin = rows.margin + lacking
-        return False
+        return found
 
     def _judged(self, rules: RowRules, rows: Rows) -> _Found:
         shots = row_shots(rules, rows)
-        rotations = rotation([s.yaw_deg for s in shots], [s.pitch_deg for s in shots])
-        numbers = [shot.row for shot in shots]
-        return _Found(shots, certify_poses(self._camera, self._constraints, rotations, numbers, explain=False))
+        return _Found(shots, _verdict(self._camera, self._constraints, shots))
+
+
+def _verdict(camera: Camera, constraints: Constraints, shots: Sequence[Shot]) -> Certificate:
+    poses = rotation([shot.yaw_deg for shot in shots], [shot.pitch_deg for shot in shots])
+    return certify_poses(camera, constraints, poses, [shot.row for shot in shots], explain=False)
 
 
 def row_shots(rules: RowRules, rows: Rows) -> tuple[Shot, ...]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -36,19 +37,19 @@ class Variant:
     Attributes:
         demands: on rows.
         loss: what errors take from overlaps between rows.
-        may_be_better: whether it may lead to fewer images than another variant that succeeded.
+        group: variants of a later group ask for more than those of an earlier one; within a group any may be the best.
     """
 
     demands: Demands
     loss: Loss | None
-    may_be_better: bool
+    group: int
 
 
 def variants(camera: Camera, constraints: Constraints) -> Iterator[Variant]:
     """All sets of demands worth trying, the least first."""
     worst_h = constraints.overlap_h if constraints.guarantee == "all" else 0.0
     worst_v = constraints.overlap_v if constraints.guarantee == "all" else 0.0
-    loss = None if constraints.tolerance.is_zero else worst_loss(camera, constraints)
+    loss = None if constraints.tolerance.is_zero else _Loss(camera, constraints)
 
     def asked(
         *, edge_h: float = 0.0, second: float = 0.0, edge_v: float = 0.0, v: float = 0.0, count: int = 1, rows: int = 1
@@ -67,8 +68,8 @@ def variants(camera: Camera, constraints: Constraints) -> Iterator[Variant]:
             least_rows=rows,
         )
 
-    yield Variant(asked(), loss, may_be_better=False)
-    yield Variant(asked(edge_h=_SURE), loss, may_be_better=False)
+    yield Variant(asked(), loss, group=0)
+    yield Variant(asked(edge_h=_SURE), loss, group=1)
     if not constraints.band.is_full_circle:
         twice = _chain_overlap(camera)
         for demands in (
@@ -79,10 +80,10 @@ def variants(camera: Camera, constraints: Constraints) -> Iterator[Variant]:
             asked(second=_SURE, edge_h=_SURE),
             asked(second=_SURE, v=twice, edge_v=twice),
         ):
-            yield Variant(demands, loss, may_be_better=True)
-    for edge_v in _BETWEEN_ROWS:
+            yield Variant(demands, loss, group=2)
+    for group, edge_v in enumerate(_BETWEEN_ROWS, start=3):
         if edge_v > worst_v:
-            yield Variant(asked(edge_h=_SURE, edge_v=edge_v), loss, may_be_better=False)
+            yield Variant(asked(edge_h=_SURE, edge_v=edge_v), loss, group=group)
 
 
 def _chain_overlap(camera: Camera) -> float:
@@ -93,21 +94,33 @@ def _chain_overlap(camera: Camera) -> float:
 
 
 def worst_loss(camera: Camera, constraints: Constraints) -> Loss:
-    """What errors take at the most from the overlap of an image with the next row, by the image's pitch.
+    """What errors take at the most from the overlap of an image with the next row, by the image's pitch."""
+    return _Loss(camera, constraints)
 
-    Measured for rows at their usual distance at a few pitches; between them it is taken for linear, and above the horizon
-    for the mirror image of below.
+
+class _Loss:
+    """See `worst_loss`.
+
+    Measured for rows at their usual distance at a few pitches, when first asked for; between them it is taken for
+    linear, and above the horizon for the mirror image of below.
     """
-    height = camera.vfov_deg
-    strip = height / 2 + math.degrees(math.atan(camera.half_height * (1 - 2 * constraints.overlap_v)))
-    steepness = np.linspace(0.0, 90.0, _NODES)
-    step = min(strip, 0.95 * height)
-    losses = [_loss_at(camera, constraints, -s, step) for s in steepness.tolist()]
 
-    def loss(pitch_deg: FloatArray) -> FloatArray:
+    def __init__(self, camera: Camera, constraints: Constraints) -> None:
+        self._camera = camera
+        self._constraints = constraints
+
+    def __call__(self, pitch_deg: FloatArray) -> FloatArray:
+        steepness, losses = self._measured
         return np.asarray(np.interp(np.abs(pitch_deg), steepness, losses))
 
-    return loss
+    @cached_property
+    def _measured(self) -> tuple[FloatArray, FloatArray]:
+        height = self._camera.vfov_deg
+        strip = height / 2 + math.degrees(math.atan(self._camera.half_height * (1 - 2 * self._constraints.overlap_v)))
+        steepness = np.linspace(0.0, 90.0, _NODES)
+        step = min(strip, 0.95 * height)
+        losses = [_loss_at(self._camera, self._constraints, -s, step) for s in steepness.tolist()]
+        return steepness, np.array(losses)
 
 
 def _loss_at(camera: Camera, constraints: Constraints, pitch_deg: float, step_deg: float) -> float:
