@@ -30,8 +30,7 @@ from panoexec.cli.planning_options import (
     add_gimbal_arguments,
     add_method_arguments,
     constraints_of,
-    finished,
-    make_plan,
+    plan_for,
     profile_of,
     timing_of,
 )
@@ -40,6 +39,7 @@ from panoexec.errors import DependencyError, UsageError
 from panoexec.logs import configure_logs
 from panoexec.mission.settings import MissionSettings
 from panoexec.planfile import read_plan_file
+from panoexec.planning.making import finished
 from panoexec.planning.model import GimbalLimits, Plan
 from panoexec.planning.request import check_request
 from panoexec.sim.config import SimConfig
@@ -48,6 +48,8 @@ from panoexec.sim.scene import load_scene
 from panoexec.sitl.autopilot import sitl_binary
 from panoexec.states import MissionState
 
+_MAX_PAUSE_S = 60.0
+"""Nobody is there to say `resume`: what holds a dry-run for longer ends it (it can be resumed)."""
 _EXIT = {MissionState.COMPLETE: 0, MissionState.FAILED: 3}
 
 
@@ -146,6 +148,7 @@ def _options(args: argparse.Namespace) -> DryRunOptions:
         exposure_s=timing.exposure_s,
         interval_s=timing.interval_s,
         accept=args.accept,
+        max_pause_s=_MAX_PAUSE_S,
         gimbal=plan.constraints.gimbal or GimbalLimits(),
     )
     camera = camera_of(plan.camera, interval_s=settings.interval_s, exposure_s=settings.exposure_s)
@@ -169,7 +172,7 @@ def _plan_and_profile(args: argparse.Namespace) -> tuple[Plan, CameraProfile | N
     profile = profile_of(args) if args.camera else None
     if file is None:
         assert profile is not None
-        return make_plan(args, profile.camera, constraints_of(args), timing_of(profile)), profile
+        return plan_for(args, profile.camera, constraints_of(args), timing_of(profile)), profile
     plan = file.plan(camera=profile.camera if profile else None, constraints=constraints_of(args, file.constraints))
     check_request(plan.camera, plan.constraints)
     return finished(plan, timing_of(profile)), profile

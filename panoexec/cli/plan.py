@@ -22,7 +22,7 @@ from panoexec.cli.planning_options import (
     add_method_arguments,
     constraints_of,
     count,
-    make_plan,
+    plan_for,
     positive,
     profile_of,
     timing_of,
@@ -73,8 +73,8 @@ def run(args: argparse.Namespace) -> int:
         check_plot_path(args.plot)
     profile = profile_of(args)
     constraints, timing = constraints_of(args), timing_of(profile)
-    plan = make_plan(args, profile.camera, constraints, timing)
-    _check_budget(args, plan, lambda changed: make_plan(args, profile.camera, changed, timing))
+    plan = plan_for(args, profile.camera, constraints, timing)
+    _check_budget(args, plan, lambda changed: plan_for(args, profile.camera, changed, timing))
     if args.output:
         write_plan(args.output, plan)
     if args.plot:

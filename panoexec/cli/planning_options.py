@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import argparse
 import math
-from dataclasses import replace
 
 from panoexec.camera_profiles import CameraProfile, load_profile
 from panoexec.errors import UsageError
 from panoexec.optics import Camera
-from panoexec.planning.certificate import certify
-from panoexec.planning.duration import estimate
-from panoexec.planning.hdrpano import plan_hdrpano
+from panoexec.planning.making import METHODS, make_plan
 from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Plan, Timing, Tolerance
-from panoexec.planning.paper import plan_paper
-from panoexec.planning.sequence import ORDERS, Order, order_shots
+from panoexec.planning.sequence import ORDERS
 
 DEFAULT_CAMERA = "dji-x5s-15mm"
 DEFAULT_OVERLAP = 0.15
 DEFAULT_ELEVATION_DEG = (-90.0, 30.0)
 DEFAULT_TOLERANCE = Tolerance(pitch_deg=0.1, roll_deg=0.1, yaw_deg=0.7)
-METHODS = ("certified", "paper", "hdrpano")
 
 
 def number(text: str) -> float:
@@ -163,34 +158,23 @@ def timing_of(profile: CameraProfile | None) -> Timing:
     return Timing(exposure_s=profile.max_exposure_s, interval_s=profile.min_interval_s)
 
 
-def make_plan(args: argparse.Namespace, camera: Camera, constraints: Constraints, timing: Timing) -> Plan:
+def plan_for(args: argparse.Namespace, camera: Camera, constraints: Constraints, timing: Timing) -> Plan:
     """The plan by the method asked for, certified (or found wanting), ordered and estimated.
 
     Raises:
         PlanningError: no plan can satisfy the constraints.
+        UsageError: the method needs options that are not given.
     """
-    if args.method == "certified":
-        from panoexec.planning.search import plan_certified  # noqa: PLC0415  (other methods and verbs do without it)
-
-        return plan_certified(camera, constraints, timing=timing, order=args.order)
-    if args.method == "hdrpano":
-        if not (args.columns and args.rows):
-            raise UsageError("--method hdrpano needs --columns N and --rows N (the paper has 8 and 4, 21 and 10)")
-        plan = plan_hdrpano(camera, constraints, columns=args.columns, rows=args.rows)
-    else:
-        plan = plan_paper(camera, constraints)
-    return finished(plan, timing, order=args.order)
-
-
-def finished(plan: Plan, timing: Timing, *, order: Order | None = None) -> Plan:
-    """The plan with its shots in order, its certificate and its estimate."""
-    limits = plan.constraints.gimbal or GimbalLimits()
-    if order is not None:
-        plan = replace(plan, shots=order_shots(plan.shots, limits, timing, order=order))
-    return replace(
-        plan,
-        certificate=plan.certificate or certify(plan),
-        estimate=estimate(plan.shots, plan.camera, limits, timing),
+    if args.method == "hdrpano" and not (args.columns and args.rows):
+        raise UsageError("--method hdrpano needs --columns N and --rows N (the paper has 8 and 4, 21 and 10)")
+    return make_plan(
+        camera,
+        constraints,
+        method=args.method,
+        timing=timing,
+        order=args.order,
+        columns=args.columns,
+        rows=args.rows,
     )
 
 
