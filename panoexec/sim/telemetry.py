@@ -136,6 +136,8 @@ class Telemetry:
         """AUTOPILOT_STATE_FOR_GIMBAL_DEVICE (286)."""
         velocity = self._airframe.position().velocity_m_s
         _, rates = self._attitude()
+        # ArduPilot never fills it in
+        landed = 0 if self._config.autopilot == "ardupilot" else self._airframe.landed_state
         return mavlink.MAVLink_autopilot_state_for_gimbal_device_message(
             self._config.system_id,
             0,
@@ -146,7 +148,7 @@ class Telemetry:
             0,
             0.0,
             0,
-            self._airframe.landed_state,
+            landed,
             rates[2],
         )
 
