@@ -3,6 +3,7 @@ PYTHON  ?= python3
 VENV    ?= .venv
 BIN     := $(VENV)/bin
 ARGS    ?=
+WORKERS ?= 4
 
 .PHONY: dry-run test check format bench clean help
 
@@ -14,7 +15,7 @@ dry-run: $(VENV)/.sim     ## fly a complete panorama on the embedded simulated v
 
 test: $(VENV)/.dev        ## run the tests (installs mosquitto if it is missing)
 	@.ci/setup tests
-	$(BIN)/pytest $(ARGS)
+	$(BIN)/pytest -n $(WORKERS) --dist loadfile $(ARGS)
 
 check: $(VENV)/.dev       ## lint, format, types, import directions
 	$(BIN)/ruff check .

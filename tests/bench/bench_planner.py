@@ -1,0 +1,59 @@
+"""The certified planner: images, seconds and memory for the cases that it has to reach, and for a very long lens."""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Iterator
+
+from panoexec.camera_profiles import load_profile
+from panoexec.optics import Camera
+from panoexec.planning.model import NO_TOLERANCE, Band, Constraints, Tolerance
+from panoexec.planning.search import plan_certified
+from tests.bench.harness import Measurement
+
+_PAPER = Tolerance(pitch_deg=0.017, roll_deg=0.017, yaw_deg=0.667)
+
+
+def measure() -> Iterator[Measurement]:
+    """Images against the goals, planning and certifying Scenario 2, a 400 mm-equivalent sphere."""
+    cases = (
+        ("scenario 1", load_profile("dji-x5s-15mm").camera, 0.15, 50.5, _PAPER, 21),
+        ("scenario 2", load_profile("dji-x5s-45mm").camera, 0.15, 37.7, _PAPER, 138),
+        ("scenario 3", load_profile("sony-a6000-35mm").camera, 0.15, 12.2, _PAPER, 40),
+        ("whole sphere, 54.0 x 39.8 deg", Camera.from_fov(54.0, 39.8), 0.30, 90.0, NO_TOLERANCE, 44),
+    )
+    for name, camera, overlap, top_deg, tolerance, goal in cases:
+        constraints = _constraints(overlap, top_deg, tolerance)
+        images, seconds = _planned(camera, constraints)
+        yield Measurement(
+            what=f"{name}: certified plan", ours=images, unit="images", goal=f"at most {goal}", met=images <= goal
+        )
+        if name == "scenario 2":
+            yield Measurement(
+                what=f"{name}: planning and certifying", ours=seconds, unit="s", goal="at most 1 s", met=seconds <= 1.0
+            )
+    tele = Camera.from_fov(5.15, 3.44)
+    images, seconds = _planned(tele, _constraints(0.15, 90.0, NO_TOLERANCE))
+    # of this process since it began, Python and numpy included
+    megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    what = f"sphere at 400 mm equivalent, {images} images"
+    yield Measurement(
+        what=f"{what}: planning and certifying", ours=seconds, unit="s", goal="at most 20 s", met=seconds <= 20
+    )
+    yield Measurement(what=f"{what}: memory", ours=megabytes, unit="MB", goal="at most 500 MB", met=megabytes <= 500)
+
+
+def _constraints(overlap: float, top_deg: float, tolerance: Tolerance) -> Constraints:
+    band = Band(elevation_min_deg=-90.0, elevation_max_deg=top_deg)
+    return Constraints(overlap_h=overlap, overlap_v=overlap, band=band, tolerance=tolerance)
+
+
+def _planned(camera: Camera, constraints: Constraints) -> tuple[int, float]:
+    """Images, and seconds of one core."""
+    began = time.process_time()
+    plan = plan_certified(camera, constraints)
+    seconds = time.process_time() - began
+    if plan.certificate is None or not plan.certificate.certified:
+        raise AssertionError(f"{camera.name}: not certified")
+    return len(plan.shots), seconds
