@@ -184,10 +184,10 @@ def _apart_m(a: VehicleStatus, b: VehicleStatus) -> float:
 class _Patience:
     """A time limit on the mission's clock, but not a short one in real time."""
 
-    def __init__(self, clock: Clock, timeout_s: float, *, least_real_s: float = _LEAST_REAL_S) -> None:
+    def __init__(self, clock: Clock, timeout_s: float, *, least_real_s: float | None = None) -> None:
         self._clock = clock
         self._end_s = clock.monotonic() + timeout_s
-        self._end_real_s = time.monotonic() + min(timeout_s, least_real_s)
+        self._end_real_s = time.monotonic() + min(timeout_s, _LEAST_REAL_S if least_real_s is None else least_real_s)
 
     @property
     def is_over(self) -> bool:
