@@ -41,6 +41,8 @@ DEFAULT_COMPONENT: Final = 191
 REQUEST_MESSAGE: Final = 512
 FAST_STREAMS: Final = ("GIMBAL_DEVICE_ATTITUDE_STATUS", "ATTITUDE")
 _SEVERITY_NOTICE: Final = 5
+_PARAMETER_TRIES: Final = 3
+_PARAMETER_PAUSE_S: Final = 0.2
 _TICK_S: Final = 0.25
 _LOOK_S: Final = 0.05
 _SILENT_REOPEN_S: Final = 5.0
@@ -312,10 +314,16 @@ class MavsdkLink:
                     raise
             return float(plugin.get_param_float(name))
 
-        try:
-            return await self.vendor_call(f"reading {name}", read)
-        except DeviceError:
-            return None
+        for left in reversed(range(_PARAMETER_TRIES)):
+            try:
+                return await self.vendor_call(f"reading {name}", read)
+            except DeviceError as error:
+                # an autopilot that has just been found may not answer the first time; what a mount's reports are worth
+                # hangs on the answer
+                _log.debug("a parameter was not told", name=name, error=str(error))
+                if left:
+                    await asyncio.sleep(_PARAMETER_PAUSE_S)
+        return None
 
     async def use_rates(self, *, active: bool) -> None:
         """Ask for the rates of a flying mission, or for those of waiting. What fails is tried again by itself."""
