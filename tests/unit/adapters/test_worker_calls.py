@@ -37,7 +37,9 @@ async def test_calls_block_side_by_side() -> None:
     calls = WorkerCalls("test", threads=2)
     meet = threading.Barrier(2)
     async with asyncio.timeout(5):
-        await asyncio.gather(calls.run(lambda: meet.wait(5)), calls.run(lambda: meet.wait(5)))
+        places = await asyncio.gather(calls.run(lambda: meet.wait(5)), calls.run(lambda: meet.wait(5)))
+    # one after the other, neither would have got through
+    assert sorted(places) == [0, 1]
     calls.stop()
 
 
