@@ -7,6 +7,7 @@ simulated seconds at any.
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections import Counter
 from collections.abc import Callable
@@ -19,18 +20,12 @@ from panoexec.devices import EvidenceLevel
 from panoexec.dryrun_vehicle import devices_on, settings_on
 from panoexec.errors import LinkError
 from panoexec.events import AxisErrors, Event
+from panoexec.leavings import write_leavings
 from panoexec.mission.executor import Mission
 from panoexec.mission.record import MissionRecord, Verdict
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission_dir import existing_mission_directory
-from panoexec.mission_session import (
-    Devices,
-    MissionSession,
-    StoredMission,
-    create_mission,
-    open_mission,
-    write_mission_files,
-)
+from panoexec.mission_session import Devices, MissionSession, StoredMission, create_mission, open_mission
 from panoexec.planning.duration import slew_time_s
 from panoexec.planning.model import Certificate, Plan, Shot
 from panoexec.pose_reading import pose_of, read_pose
@@ -255,7 +250,7 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
                 duration_s, certificate = session.mission.shooting_s, session.mission.certificate
     finally:
         await stored.journal.close()
-    await write_mission_files(stored)
+    await asyncio.to_thread(write_leavings, stored.directory)
     shots = _shots_flown(record, since_utc_s=began_utc_s)
     limit_s = physical_limit_s(shots, stored.settings, start=start, exposure_s=simulation.camera.exposure_s)
     summary = summarise(stored, record, duration_s=duration_s, limit_s=limit_s, certificate=certificate)

@@ -17,9 +17,8 @@ from panoexec import __version__
 from panoexec.clock import Clock
 from panoexec.codec import decode, encode
 from panoexec.devices import Camera, Gimbal, Vehicle
-from panoexec.errors import InputFileError, MissionError, UsageError
+from panoexec.errors import MissionError, UsageError
 from panoexec.events import Event, EventSink
-from panoexec.exports import export_set, write_exports
 from panoexec.journal import JournalFileError, SqliteJournal
 from panoexec.manifest import ManifestWriter
 from panoexec.mission.executor import Mission
@@ -145,26 +144,6 @@ class _Sinks:
     def publish(self, event: Event) -> None:
         for sink in self._sinks:
             sink.publish(event)
-
-
-async def write_mission_files(stored: StoredMission) -> None:
-    """Write what stitchers work from beside the manifest: project, Papywizard file, table, sidecars.
-
-    Raises:
-        UsageError: a file cannot be written.
-        InputFileError: the manifest is not there, or damaged.
-    """
-    await asyncio.to_thread(_write_mission_files, stored)
-
-
-def _write_mission_files(stored: StoredMission) -> None:
-    folder, manifest = stored.directory.path, stored.directory.manifest
-    try:
-        document = json.loads(manifest.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputFileError(str(manifest), [f"cannot be read ({error})"]) from error
-    calibrated = stored.plan.camera.calibrated_focal_length_mm
-    write_exports(export_set(document, folder, calibrated_focal_length_mm=calibrated), folder)
 
 
 class MissionSession:

@@ -15,6 +15,7 @@ from panoexec.clock import Clock
 from panoexec.config import Config
 from panoexec.errors import PanoexecError
 from panoexec.events import Event, EventSink
+from panoexec.leavings import write_leavings
 from panoexec.mission.control import CommandRefusedError
 from panoexec.mission.executor import Mission
 from panoexec.mission.record import MissionRecord
@@ -180,14 +181,29 @@ class Missions:
         while True:
             stored, devices, reference = await self._next.get()
             try:
-                await self._fly(stored, devices, reference)
-            except (PanoexecError, ValueError, OSError) as error:
-                _log.error("mission ended by an error", mission_id=stored.directory.mission_id, error=str(error))
+                await self._flown(stored, devices, reference)
+                await self._leave(stored)
             finally:
-                self.mission = None
                 self._free()
             await self._offer_again()
             self._changed()
+
+    async def _flown(self, stored: StoredMission, devices: Devices, reference: Reference) -> None:
+        """Fly to the end, whatever that is."""
+        try:
+            await self._fly(stored, devices, reference)
+        except (PanoexecError, ValueError, OSError) as error:
+            _log.error("mission ended by an error", mission_id=stored.directory.mission_id, error=str(error))
+        finally:
+            self.mission = None
+
+    @staticmethod
+    async def _leave(stored: StoredMission) -> None:
+        """Write what others work from, while the place for a mission is still taken: a stop waits for it."""
+        try:
+            await asyncio.to_thread(write_leavings, stored.directory)
+        except (PanoexecError, ValueError, OSError) as error:
+            _log.error("files are missing", mission_id=stored.directory.mission_id, error=str(error))
 
     async def _fly(self, stored: StoredMission, devices: Devices, reference: Reference) -> None:
         section = self._config().vehicle
