@@ -180,6 +180,8 @@ class MavsdkGimbal:
         try:
             async with asyncio.timeout(timeout_s):
                 await self._listed.wait()
+                # who sends the attitude tells what it is worth; the list may come before the first report
+                await self._buffer.newer_than(-math.inf)
         except TimeoutError as error:
             raise DeviceError(f"no gimbal within {timeout_s:g} s: {self._why_not_found()}") from error
         item = self._list[0]

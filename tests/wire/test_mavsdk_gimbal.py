@@ -72,6 +72,20 @@ async def test_is_not_found_without_a_manager_and_says_so(
             await gimbal.discover(timeout_s=0.3)
 
 
+async def test_is_found_only_once_its_attitude_tells_who_sends_it(
+    gimbal_autopilot: GimbalPeer, gimbal_link: MavsdkLink
+) -> None:
+    gimbal_autopilot.parameters["MNT1_TYPE"] = 7
+    attitude = gimbal_autopilot.builders.pop(285)
+    async with MavsdkGimbal(gimbal_link) as gimbal:
+        await gimbal_autopilot.until(lambda: any(ask.param1 == 280 for ask in gimbal_autopilot.sent(512)))
+        finding = asyncio.create_task(gimbal.discover())
+        await eventually(lambda: gimbal.limits is not None)
+        assert not finding.done()
+        gimbal_autopilot.builders[285] = attitude
+        assert (await finding).feedback == "none"
+
+
 async def test_is_taken_and_given_back_with_confirmation(gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal) -> None:
     assert not gimbal.in_control
     await gimbal.acquire()
