@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
-from panoexec.sim.config import AirframeConfig
+from panoexec.sim.config import AirframeConfig, AxisConfig
+from panoexec.sim.gimbal import Axis
 from panoexec.sim.world import BoundedDrift, seeded
 
 _METRES_PER_DEG = 111_320.0
@@ -16,6 +17,9 @@ _LEAN_LAG_S = 0.6
 _CLIMB_M_S = 2.5
 _DESCENT_M_S = 1.0
 _IDLE_DRAIN = 0.05
+_TURN_DAMPING = 0.9
+_TURN_FEEDFORWARD = 0.5
+_AT_REST_DEG = 1e-3
 _CELLS = 4
 _CELL_EMPTY_V, _CELL_FULL_V = 3.3, 4.2
 
@@ -82,6 +86,9 @@ class Airframe:
         self._height_goal_m = self._height_m
         self._lean_deg = self._steady_lean()
         self._climb_m_s = 0.0
+        self._heading_goal_deg = config.heading_deg
+        self._heading = self._heading_axis()
+        self._turn_deg_s = math.inf
 
         def wander(name: str, period_s: float) -> BoundedDrift:
             # a bound of 1/0.35 makes a standard deviation of 1
@@ -91,6 +98,18 @@ class Airframe:
         self._sway_yaw = wander("yaw", 4.0)
         self._hold = [wander(f"hold/{axis}", 6.0) for axis in "neu"]
         self._gps = [wander(f"gps/{axis}", 80.0) for axis in "neu"]
+
+    def _heading_axis(self) -> Axis:
+        c = self.config
+        limits = AxisConfig(
+            rate_deg_s=c.turn_rate_deg_s,
+            acceleration_deg_s2=c.turn_acceleration_deg_s2,
+            min_deg=-math.inf,
+            max_deg=math.inf,
+        )
+        axis = Axis(limits, loop_hz=c.turn_loop_hz, damping=_TURN_DAMPING, feedforward_frac=_TURN_FEEDFORWARD)
+        axis.place(c.heading_deg)
+        return axis
 
     def _steady_lean(self) -> float:
         lean = self.config.lean_deg * (self.wind_m_s / _LEAN_REFERENCE_M_S) ** 2
@@ -133,10 +152,28 @@ class Airframe:
         """Come down where it is; disarms on the ground."""
         self._height_goal_m = 0.0
 
+    def turn_to(self, heading_deg: float, *, rate_deg_s: float = 0.0, direction: int = 0) -> None:
+        """Turn the nose on the spot, and keep it there.
+
+        Args:
+            heading_deg: clockwise from north as the autopilot knows it, of any turn.
+            rate_deg_s: at most; 0 or less leaves it to the autopilot.
+            direction: 1 clockwise, -1 counter-clockwise, 0 the short way.
+        """
+        if not self.is_flying:
+            return
+        way = (heading_deg - self._heading_goal_deg + 180.0) % 360.0 - 180.0
+        if direction * way < 0:
+            way += math.copysign(360.0, direction)
+        self._heading_goal_deg += way
+        self._turn_deg_s = rate_deg_s if rate_deg_s > 0 else math.inf
+
     def step(self, dt: float) -> None:
         """Advance by `dt` seconds."""
         self._time_s += dt
         self._state = None
+        if self._heading.angle_deg != self._heading_goal_deg or self._heading.rate_deg_s != 0.0:
+            self._turn(dt)
         drain = 1.0 if self.is_flying else _IDLE_DRAIN if self.armed else 0.0
         self.battery_frac = max(0.0, self.battery_frac - drain * dt / (60 * self.config.battery_minutes))
         self._lean_deg += (self._steady_lean() - self._lean_deg) * min(1.0, dt / _LEAN_LAG_S)
@@ -147,11 +184,21 @@ class Airframe:
         if was_flying and not self.is_flying and self._height_goal_m <= 0:
             self.armed = False
 
+    def _turn(self, dt: float) -> None:
+        axis, goal = self._heading, self._heading_goal_deg
+        axis.step(goal, 0.0, dt, 1.0, self._turn_deg_s)
+        if abs(axis.angle_deg - goal) < _AT_REST_DEG and abs(axis.rate_deg_s) < _AT_REST_DEG:
+            axis.place(goal)  # nothing to compute for the rest of the hover
+
     def true_yaw_deg(self) -> float:
         """Heading at the moment (the part of `state` that the physics needs at every step)."""
+        heading = self._heading.angle_deg
         if not self.is_flying:
-            return self.config.heading_deg
-        return self.config.heading_deg + self.config.heading_sway_deg * self._sway_yaw.at(self._time_s)
+            return heading
+        c = self.config
+        push = c.heading_offset_deg * (self.wind_m_s / _LEAN_REFERENCE_M_S) ** 2
+        offset = push * math.sin(2 * math.radians(c.wind_from_deg - heading))
+        return heading + offset + c.heading_sway_deg * self._sway_yaw.at(self._time_s)
 
     def state(self) -> AirframeState:
         """The truth of the moment."""
@@ -174,7 +221,7 @@ class Airframe:
             yaw_deg=yaw,
             roll_rate_deg_s=rough * self._sway_roll.rate_at(t),
             pitch_rate_deg_s=rough * self._sway_pitch.rate_at(t),
-            yaw_rate_deg_s=flying * c.heading_sway_deg * self._sway_yaw.rate_at(t),
+            yaw_rate_deg_s=self._heading.rate_deg_s + flying * c.heading_sway_deg * self._sway_yaw.rate_at(t),
             north_m=north - gps_north,
             east_m=east - gps_east,
             up_m=self._height_m + 0.5 * up - 1.5 * gps_up,

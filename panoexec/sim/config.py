@@ -80,6 +80,11 @@ class GimbalConfig:
     gust_deg_s2: float = 40.0
     gust_corner_hz: float = 1.5
 
+    @property
+    def pans(self) -> bool:
+        """Whether it has a yaw axis: with a pan range of 0 it has two axes and looks where the vehicle's nose does."""
+        return self.yaw_endless or self.yaw.max_deg > self.yaw.min_deg
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraConfig:
@@ -122,6 +127,11 @@ class AirframeConfig:
         lean_deg: how far the vehicle leans against wind of 8 m/s; grows with its square.
         sway_deg: standard deviation of roll and pitch about the mean in calm air.
         heading_sway_deg: standard deviation of the heading.
+        heading_offset_deg: how far the nose may stand off the heading that it was told in wind of 8 m/s, by the wind's
+            direction (ArduCopter's SITL: up to 2° for many seconds); grows with the wind's square.
+        turn_rate_deg_s: largest speed of a turn on the spot.
+        turn_acceleration_deg_s2: largest acceleration of one.
+        turn_loop_hz: natural frequency of the heading's control loop.
         hold_m: standard deviation of the true position about the hover point in calm air.
         gps_wander_m: standard deviation of the slow error of the GPS: the vehicle holds the place that it is told, so
             it is the true position that wanders.
@@ -141,6 +151,10 @@ class AirframeConfig:
     lean_deg: float = 14.0
     sway_deg: float = 0.3
     heading_sway_deg: float = 0.5
+    heading_offset_deg: float = 1.5
+    turn_rate_deg_s: float = 60.0
+    turn_acceleration_deg_s2: float = 120.0
+    turn_loop_hz: float = 0.8
     hold_m: float = 0.15
     gps_wander_m: float = 0.6
     battery_frac: float = 0.95

@@ -57,15 +57,15 @@ class Target:
     rates: Rates | None = None
 
 
-class _Axis:
+class Axis:
     """One axis: a time-optimal reference within rate and acceleration, followed by a second-order loop."""
 
-    def __init__(self, config: AxisConfig, gimbal: GimbalConfig) -> None:
+    def __init__(self, config: AxisConfig, *, loop_hz: float, damping: float, feedforward_frac: float) -> None:
         self.config = config
-        omega = 2 * math.pi * gimbal.loop_hz
+        omega = 2 * math.pi * loop_hz
         self._stiffness = omega * omega
-        self._viscosity = 2 * gimbal.damping * omega
-        self._feedforward = gimbal.feedforward_frac
+        self._viscosity = 2 * damping * omega
+        self._feedforward = feedforward_frac
         self.reference_deg = 0.0
         self._reference_deg_s = 0.0
         self.angle_deg = 0.0
@@ -129,9 +129,10 @@ class GimbalPhysics:
     def __init__(self, config: GimbalConfig, *, seed: int, step_s: float) -> None:
         self.config = config
         self._step_s = step_s
-        self._yaw = _Axis(config.yaw, config)
-        self._roll = _Axis(config.roll, config)
-        self._pitch = _Axis(config.pitch, config)
+        self._yaw, self._roll, self._pitch = (
+            Axis(axis, loop_hz=config.loop_hz, damping=config.damping, feedforward_frac=config.feedforward_frac)
+            for axis in (config.yaw, config.roll, config.pitch)
+        )
         self._heading_error = BoundedDrift(
             config.heading_error_deg, config.heading_period_s, seeded(seed, "gimbal/heading")
         )
@@ -196,14 +197,19 @@ class GimbalPhysics:
             return
         target = self._target
         rates = target.rates
-        if rates is None:
+        if not self.config.pans:
+            # levelled about the airframe's own axes, the camera looks along the nose, however the vehicle leans
+            self._yaw.place(self._nose_deg)
+            self._yaw.rate_deg_s = vehicle_rate
+        elif rates is None:
             self._yaw.step(self._yaw_goal(), gusts[0], dt, self.slowness)
+        else:
+            yaw_rate = rates.yaw_deg_s + (0.0 if target.yaw_lock else vehicle_rate)
+            self._yaw.step(self._yaw_end(yaw_rate), gusts[0], dt, self.slowness, abs(yaw_rate))
+        if rates is None:
             self._roll.step(target.roll_deg, gusts[1], dt, self.slowness)
             self._pitch.step(target.pitch_deg, gusts[2], dt, self.slowness)
         else:
-            yaw_rate = rates.yaw_deg_s + (0.0 if target.yaw_lock else vehicle_rate)
-            far = self._yaw_end(yaw_rate)
-            self._yaw.step(far, gusts[0], dt, self.slowness, abs(yaw_rate))
             far = _end(rates.roll_deg_s, self.config.roll)
             self._roll.step(far, gusts[1], dt, self.slowness, abs(rates.roll_deg_s))
             far = _end(rates.pitch_deg_s, self.config.pitch)

@@ -35,6 +35,7 @@ _CAPABILITIES = bitmask(
         "HAS_YAW_LOCK",
     )
 )
+_PAN = bitmask(getattr(mavlink, f"GIMBAL_DEVICE_CAP_FLAGS_HAS_YAW_{name}") for name in ("AXIS", "FOLLOW", "LOCK"))
 _FRAME_VEHICLE = mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
 _FRAME_EARTH = mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_EARTH_FRAME
 _LOCK_YAW = mavlink.GIMBAL_DEVICE_FLAGS_YAW_LOCK
@@ -152,7 +153,8 @@ class GimbalComponent:
         nose_deg = self.physics.nose_deg if self._frozen is None else self._frozen_nose_deg
         turning = self.vehicle_yaw_rate_deg_s
         yaw_s, roll_s, pitch_s = self.physics.rates
-        rates = body_rates(measured, Rates(yaw_s - turning, roll_s, pitch_s))
+        relative_s = yaw_s - turning if self.physics.config.pans else 0.0
+        rates = body_rates(measured, Rates(relative_s, roll_s, pitch_s))
         return mavlink.MAVLink_gimbal_device_attitude_status_message(
             0,
             0,
@@ -178,7 +180,7 @@ class GimbalComponent:
             0x00000001,
             0x00000001,
             _UID,
-            _CAPABILITIES,
+            _CAPABILITIES if c.pans else _CAPABILITIES & ~_PAN,
             0,
             *(math.radians(limit + math.copysign(_LIMIT_MARGIN_DEG, limit)) for limit in (*limits, *yaw)),
             0,

@@ -19,6 +19,7 @@ from panoexec.sim.wire import Message
 
 _LOCK_YAW = mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK
 _LEVEL = mavlink.GIMBAL_MANAGER_FLAGS_ROLL_LOCK | mavlink.GIMBAL_MANAGER_FLAGS_PITCH_LOCK
+_PAN = bitmask(getattr(mavlink, f"GIMBAL_MANAGER_CAP_FLAGS_HAS_YAW_{name}") for name in ("AXIS", "FOLLOW", "LOCK"))
 _AHEAD = mavlink.GIMBAL_MANAGER_FLAGS_NEUTRAL | mavlink.GIMBAL_MANAGER_FLAGS_RETRACT
 _CAPABILITIES = bitmask(
     getattr(mavlink, f"GIMBAL_MANAGER_CAP_FLAGS_{name}")
@@ -205,6 +206,8 @@ class GimbalManager:
         yaw = (physics.yaw_deg if target.rates else target.yaw_deg) - (
             self._physics.nose_deg if target.yaw_lock or target.rates else 0.0
         )
+        if not self._physics.config.pans:
+            yaw = 0.0
         bearing = math.radians(yaw)
         lean_roll = state.roll_deg * math.cos(bearing) + state.pitch_deg * math.sin(bearing)
         lean_pitch = state.pitch_deg * math.cos(bearing) - state.roll_deg * math.sin(bearing)
@@ -216,7 +219,10 @@ class GimbalManager:
         yaw = (-180.0, 180.0) if c.yaw_endless else (c.yaw.min_deg, c.yaw.max_deg)
         limits = (c.roll.min_deg, c.roll.max_deg, c.pitch.min_deg, c.pitch.max_deg, *yaw)
         return mavlink.MAVLink_gimbal_manager_information_message(
-            self._boot_ms(), _CAPABILITIES, self.device_id, *(math.radians(limit) for limit in limits)
+            self._boot_ms(),
+            _CAPABILITIES if c.pans else _CAPABILITIES & ~_PAN,
+            self.device_id,
+            *(math.radians(limit) for limit in limits),
         )
 
     def status(self) -> Message:

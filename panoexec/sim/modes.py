@@ -71,6 +71,11 @@ class ModeBook:
         return "LAND"
 
     @property
+    def is_guided(self) -> bool:
+        """Whether it flies where a program tells it to."""
+        return self.custom_mode == self._numbers["LOITER" if self._is_px4 else "GUIDED"]
+
+    @property
     def is_landing(self) -> bool:
         """Whether the mode lands where it is."""
         return self.custom_mode == self._numbers[self.land_mode]

@@ -71,6 +71,7 @@ class Vehicle:
         self._timeline = timeline
         self._faults = faults
         self._sender = Sender(config.system_id, COMPONENT_ID)
+        self._heading_error_deg: Callable[[], float] = lambda: physics.heading_error_deg
         self._boot_s = 0.0
         self._silent_until_s = -math.inf
         self.airframe = airframe
@@ -84,7 +85,7 @@ class Vehicle:
             now=lambda: timeline.now_s,
             boot_ms=self.boot_ms,
             airframe=airframe,
-            heading_error_deg=lambda: physics.heading_error_deg,
+            heading_error_deg=self._heading_error_deg,
             modes=self.modes,
         )
         self._ground = self._component(ground)
@@ -231,7 +232,7 @@ class Vehicle:
         return self._flight_command(command)
 
     def _flight_command(self, command: Command) -> int:
-        action = {
+        actions: dict[int, Callable[[Command], int]] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
             mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
             mavlink.MAV_CMD_NAV_LAND: self._land,
@@ -239,7 +240,12 @@ class Vehicle:
             mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._capabilities,
             mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._reboot_command,
             mavlink.MAV_CMD_IMAGE_START_CAPTURE: self._no_camera,
-        }.get(command.id)
+        }
+        if self._config.autopilot == "ardupilot":
+            actions[mavlink.MAV_CMD_CONDITION_YAW] = self._condition_yaw
+        else:
+            actions[mavlink.MAV_CMD_DO_REPOSITION] = self._reposition
+        action = actions.get(command.id)
         return int(mavlink.MAV_RESULT_UNSUPPORTED) if action is None else action(command)
 
     def _arm(self, command: Command) -> int:
@@ -265,6 +271,29 @@ class Vehicle:
             return _DENIED
         if self.modes.is_landing:
             self.airframe.land()
+        return _ACCEPTED
+
+    def _condition_yaw(self, command: Command) -> int:
+        """ArduCopter: accepted in every mode, obeyed in those that fly by themselves."""
+        heading_deg, rate_deg_s, direction, relative = command.params[:4]
+        if not 0 <= heading_deg <= 360 or relative not in {0.0, 1.0}:
+            return int(mavlink.MAV_RESULT_FAILED)
+        if self.modes.is_guided:
+            way = 1 if direction > 0 else -1 if direction < 0 else 0
+            if relative:
+                heading_deg = self.airframe.true_yaw_deg() + (heading_deg if way >= 0 else -heading_deg)
+            else:
+                heading_deg -= self._heading_error_deg()
+            self.airframe.turn_to(heading_deg, rate_deg_s=rate_deg_s, direction=way)
+        return _ACCEPTED
+
+    def _reposition(self, command: Command) -> int:
+        """PX4: only with the wish for its hold mode, which it then flies; of the place it takes the heading alone."""
+        if int(command.params[1]) != 1:
+            return int(mavlink.MAV_RESULT_UNSUPPORTED)
+        self.modes.set("LOITER")
+        if math.isfinite(command.params[3]):
+            self.airframe.turn_to(math.degrees(command.params[3]) - self._heading_error_deg())
         return _ACCEPTED
 
     def _capabilities(self, command: Command) -> int:
