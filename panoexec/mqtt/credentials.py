@@ -62,7 +62,7 @@ def tls_context(settings: MqttSection) -> ssl.SSLContext | None:
 
 
 def credential_problems(settings: MqttSection) -> list[str]:
-    """Everything that is wrong with the files, one line each."""
+    """Everything that is wrong with the files, one line each; not their dates, for which the clock must be right."""
     problems = []
     for check in (read_password, tls_context):
         try:

@@ -20,6 +20,7 @@ from paho.mqtt.properties import Properties
 
 from panoexec.config import MqttSection
 from panoexec.errors import LinkError
+from panoexec.mqtt.certificates import check_dates, explained
 from panoexec.mqtt.credentials import read_password, tls_context
 
 Kind: TypeAlias = Literal["status", "state", "plan", "event"]
@@ -56,6 +57,7 @@ class GroundStation:
         """
         settings = self._settings
         assert settings.host is not None
+        await asyncio.to_thread(check_dates, settings)
         client = aiomqtt.Client(
             hostname=settings.host,
             port=settings.port,
@@ -72,7 +74,8 @@ class GroundStation:
         try:
             self._client = await self._stack.enter_async_context(client)
         except aiomqtt.MqttError as error:
-            raise LinkError(f"no broker at {settings.host}:{settings.port}: {error}") from error
+            why = explained(str(error), settings)
+            raise LinkError(f"no broker at {settings.host}:{settings.port}: {why}") from error
         return self
 
     async def __aexit__(

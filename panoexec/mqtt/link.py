@@ -24,6 +24,7 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from panoexec.config import MqttSection
 from panoexec.errors import PanoexecError
+from panoexec.mqtt.certificates import check_dates, explained
 from panoexec.mqtt.credentials import read_password, tls_context
 from panoexec.mqtt.messages import MAX_PAYLOAD
 from panoexec.mqtt.outbox import Outbox, Outgoing
@@ -296,6 +297,7 @@ class MqttLink:
         assert settings.host is not None
         password = await asyncio.to_thread(read_password, settings)
         tls = await asyncio.to_thread(tls_context, settings)
+        await asyncio.to_thread(check_dates, settings)
         connect = None
         if self._five:
             connect = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
@@ -369,7 +371,7 @@ class MqttLink:
         )
 
     def _lost(self, error: Exception) -> None:
-        text = str(error) or type(error).__name__
+        text = explained(str(error) or type(error).__name__, self._settings)
         if self._short >= _SUSPICIOUS:
             text = f"each connection ends at once: do two daemons have the vehicle id {self._vehicle!r}? ({text})"
         self.reason = text

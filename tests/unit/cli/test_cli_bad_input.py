@@ -61,6 +61,8 @@ def profile(tmp_path: Path) -> Path:
         ([*PLAN, "--output", "no/such/folder/plan.json"], "no/such/folder"),
         (["verify", "no.json"], "no.json: cannot be read"),
         (["verify"], "PLAN.json"),
+        (["doctor", "--config", "none.toml"], "none.toml: cannot be read"),
+        (["doctor", "--timeout", "0"], "--timeout"),
     ],
 )
 def test_wrong_usage_is_one_line_and_exit_code_2(

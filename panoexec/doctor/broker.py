@@ -1,0 +1,87 @@
+"""The broker: reached, entered, and allowing what a vehicle must do."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from typing import Final
+
+from panoexec.config import Config
+from panoexec.doctor.findings import Findings
+from panoexec.errors import PanoexecError
+from panoexec.mqtt.certificates import certificate_validity
+from panoexec.mqtt.credentials import credential_problems
+from panoexec.mqtt.probe import probe_broker
+
+_SOON: Final = timedelta(days=30)
+_LOCAL: Final = frozenset({"localhost", "127.0.0.1", "::1"})
+
+
+async def examine_broker(config: Config, findings: Findings) -> None:
+    """Look at credentials, connection and rights."""
+    section = config.mqtt
+    if section.host is None:
+        findings.note("broker", "address", "none", advice="[mqtt] host; without it nobody can command the daemon")
+        return
+    problems = credential_problems(section)
+    for problem in problems:
+        findings.missing("broker", "credentials", problem, advice="the files named in [mqtt]")
+    _examine_certificates(config, findings)
+    if section.ca_file is None and section.host not in _LOCAL:
+        findings.warning(
+            "broker",
+            "encryption",
+            f"none on the way to {section.host}",
+            needed="TLS on a network: whoever listens can command the vehicle",
+            advice="[mqtt] ca_file and port 8883; config/mosquitto.conf",
+        )
+    if problems:
+        return
+    try:
+        report = await probe_broker(section, vehicle=config.vehicle.id)
+    except PanoexecError as error:
+        findings.missing(
+            "broker",
+            "connection",
+            str(error),
+            advice="[mqtt] host, port, username, password_file; does the broker run?",
+        )
+        return
+    findings.ok(
+        "broker",
+        "connection",
+        f"{section.host}:{section.port}, MQTT {section.protocol}, {1000 * report.connect_s:.0f} ms to connect, "
+        f"{1000 * report.round_trip_s:.1f} ms there and back",
+    )
+    base = f"{section.prefix}/{config.vehicle.id}"
+    acl = "the broker's ACL: config/mosquitto.acl; the user name must be the vehicle's id"
+    findings.judge(
+        "broker", "requests", report.may_read, f"reading {base}/request/#: {_allowed(report.may_read)}", advice=acl
+    )
+    if report.may_write is None:
+        findings.note("broker", "answers", "MQTT 3.1.1 does not tell whether we may write")
+    else:
+        text = f"writing {base}/response/…: {_allowed(report.may_write)}"
+        findings.judge("broker", "answers", report.may_write, text, advice=acl)
+
+
+def _allowed(value: bool) -> str:
+    return "allowed" if value else "refused"
+
+
+def _examine_certificates(config: Config, findings: Findings) -> None:
+    now = datetime.now(UTC)
+    for key in ("ca_file", "cert_file"):
+        path = getattr(config.mqtt, key)
+        if path is None:
+            continue
+        try:
+            validity = certificate_validity(path)
+        except PanoexecError:
+            continue  # told by the credentials
+        found = f"{path}: valid until {validity.end:%Y-%m-%d}"
+        if problem := validity.problem(now):
+            findings.missing("broker", key, f"{path}: {problem}", advice=f"[mqtt] {key}")
+        elif validity.end - now < _SOON:
+            findings.warning("broker", key, found, needed="more than 30 days", advice="renew it")
+        else:
+            findings.ok("broker", key, found)

@@ -1,0 +1,158 @@
+"""The camera: found, fitting the profile, with room, and what will prove its photos."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from panoexec.adapters.mavsdk_camera import CameraFound, MavsdkCamera
+from panoexec.adapters.mavsdk_link import MavsdkLink
+from panoexec.adapters.serial_shutter import SerialShutter
+from panoexec.config import Config
+from panoexec.devices import Camera, EvidenceLevel
+from panoexec.doctor.advice import advise
+from panoexec.doctor.findings import Findings
+from panoexec.errors import DeviceError, PanoexecError
+from panoexec.service.wishes import configured_profile
+
+_ENOUGH_PHOTOS: Final = 100
+_EVIDENCE_S: Final = 10.0
+_FEEDBACK_PIN: Final = "CAM1_FEEDBAK_PIN"
+
+
+async def examine_camera(
+    link: MavsdkLink, config: Config, findings: Findings, *, patience_s: float, photo: bool
+) -> None:
+    """Look for the camera that the configuration names; with `photo` take one to see what proves it."""
+    if config.camera.trigger == "serial":
+        await _examine_shutter(link, config, findings, photo=photo)
+        return
+    async with MavsdkCamera(link, component=config.camera.component) as camera:
+        try:
+            found = await camera.discover(patience_s)
+        except DeviceError as error:
+            findings.missing(
+                "camera",
+                "found",
+                str(error),
+                needed="a camera that answers",
+                advice=f"{advise('camera', findings.autopilot)}; [camera] component",
+            )
+            return
+        name = f"{found.vendor} {found.model}".strip() or (
+            "a shutter of the autopilot" if found.by_autopilot else "unnamed"
+        )
+        findings.ok("camera", "found", f"{name}, component {found.component}")
+        _examine_size(found, config, findings)
+        _examine_room(camera.storage_free_images, findings)
+        best = EvidenceLevel.CAPTURE_MESSAGE
+        if found.by_autopilot:
+            best = EvidenceLevel.FEEDBACK_PIN if found.feedback_pin else EvidenceLevel.COUNTED
+        _examine_evidence(best, config, findings, may_hand_over=not found.by_autopilot)
+        if photo:
+            await _take_photo(camera, config, findings)
+
+
+async def _examine_shutter(link: MavsdkLink, config: Config, findings: Findings, *, photo: bool) -> None:
+    section = config.camera
+    assert section.serial_port is not None
+    payload = (section.serial_bytes or "").encode()
+    shutter = SerialShutter(
+        section.serial_port,
+        clock=link.clock,
+        line=section.serial_line,
+        payload=payload,
+        pulse_s=section.pulse_s,
+        feedback=link,
+    )
+    try:
+        async with shutter:
+            findings.ok("camera", "found", f"a cable release on {section.serial_port} ({section.serial_line})")
+            wired = findings.autopilot == "ardupilot" and (await link.parameter(_FEEDBACK_PIN) or -1) > 0
+            _examine_evidence(
+                EvidenceLevel.FEEDBACK_PIN if wired else EvidenceLevel.COMMANDED, config, findings, may_hand_over=False
+            )
+            if photo:
+                await _take_photo(shutter, config, findings)
+    except DeviceError as error:
+        findings.missing(
+            "camera", "found", str(error), advice="[camera] serial_port; systemd/serial.conf for the service"
+        )
+
+
+def _examine_size(found: CameraFound, config: Config, findings: Findings) -> None:
+    """Whether the camera takes the images that the profile was written for."""
+    try:
+        profile = configured_profile(config)
+    except PanoexecError as error:
+        findings.missing("camera", "profile", str(error), advice="[camera] profile")
+        return
+    camera = profile.camera
+    size = {camera.image_width_px, camera.image_height_px}
+    text = f"{camera.name}: {camera.hfov_deg:.1f}° × {camera.vfov_deg:.1f}°"
+    text += f", {camera.image_width_px} × {camera.image_height_px} px"
+    if not found.image_width_px:
+        findings.note("camera", "profile", f"{text}; the camera does not tell its image size")
+    elif size != {found.image_width_px, found.image_height_px}:
+        findings.warning(
+            "camera",
+            "profile",
+            f"{text}, but the camera has {found.image_width_px} × {found.image_height_px} px",
+            needed="the profile of this camera: a wrong field of view leaves gaps",
+            advice="[camera] profile (panoexec cameras), or the camera's image size",
+        )
+    else:
+        findings.ok("camera", "profile", text)
+
+
+def _examine_room(photos: float, findings: Findings) -> None:
+    if math.isinf(photos):
+        findings.note("camera", "storage", "it does not tell how many photos fit")
+    elif photos < 1:
+        findings.missing(
+            "camera", "storage", "no room for a photo", needed="a card with room", advice="change or clear the card"
+        )
+    elif photos < _ENOUGH_PHOTOS:
+        findings.warning("camera", "storage", f"room for {photos:.0f} photos", advice="change or clear the card")
+    else:
+        findings.ok("camera", "storage", f"room for {photos:.0f} photos")
+
+
+def _examine_evidence(best: EvidenceLevel, config: Config, findings: Findings, *, may_hand_over: bool) -> None:
+    """What can prove a photo, and whether that is as much as the configuration asks for."""
+    wanted = EvidenceLevel[config.camera.evidence.upper()]
+    known = [level.name.lower() for level in EvidenceLevel if level <= best]
+    needed = f"{wanted.name.lower()} ([camera] evidence)"
+    advice = f"{advise('evidence', findings.autopilot)}; or a lower [camera] evidence"
+    text = f"up to {known[-1]}"
+    if wanted is EvidenceLevel.FILE_SEEN and may_hand_over:
+        findings.warning(
+            "camera",
+            "evidence",
+            f"{text}; file_seen only if the camera tells files that this computer can see",
+            needed=needed,
+            advice="panoexec doctor --photo tries it",
+        )
+    else:
+        findings.judge("camera", "evidence", wanted <= best, text, needed=needed, advice=advice)
+
+
+async def _take_photo(camera: Camera, config: Config, findings: Findings) -> None:
+    """Take one, and see what proves it."""
+    wanted = EvidenceLevel[config.camera.evidence.upper()]
+    try:
+        pending = await camera.trigger()
+        proof = await pending.evidence(max(wanted, EvidenceLevel.CAPTURE_MESSAGE), _EVIDENCE_S)
+    except DeviceError as error:
+        findings.missing("camera", "photo", str(error), advice=advise("camera", findings.autopilot))
+        return
+    took_ms = 1000 * (proof.received_s - pending.commanded_s)
+    where = f", {proof.file_url}" if proof.file_url else ""
+    findings.judge(
+        "camera",
+        "photo",
+        proof.level >= wanted,
+        f"taken, {proof.level.name.lower()} after {took_ms:.0f} ms{where}",
+        needed=wanted.name.lower(),
+        advice=advise("evidence", findings.autopilot),
+    )

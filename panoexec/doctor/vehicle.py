@@ -1,0 +1,276 @@
+"""The vehicle: its link, the rates of its messages, what it says of itself."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from datetime import UTC, datetime
+from typing import Final
+
+from panoexec.adapters.connection_url import ConnectionUrl, parse_connection
+from panoexec.adapters.link_watch import DEFAULT_STREAMS
+from panoexec.adapters.mavsdk_gimbal import MavsdkGimbal
+from panoexec.adapters.mavsdk_link import MavsdkLink
+from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
+from panoexec.adapters.serial_ports import find_flight_controller, list_serial_ports
+from panoexec.adapters.stream_keeper import AUTOPILOT
+from panoexec.clock import Clock
+from panoexec.config import Config
+from panoexec.doctor.advice import advise
+from panoexec.doctor.camera import examine_camera
+from panoexec.doctor.findings import Findings
+from panoexec.doctor.gimbal import examine_control, examine_gimbal
+from panoexec.doctor.meters import Rate, RateMeter
+from panoexec.errors import DeviceError, LinkError
+
+_MEASURE_S: Final = 4.0
+_SETTLE_S: Final = 1.5
+_ENOUGH: Final = 0.8
+_GIMBAL_LEAST_HZ: Final = 10.0
+_CLOCK_APART_S: Final = 2.0
+_SYSTEM_TIME: Final = 2
+_AUTOPILOT_VERSION: Final = 148
+_COMPONENTS: Final = {1: "autopilot", 26: "gimbal", 30: "camera", 18: "companion", 6: "ground station", 27: "ADSB"}
+_ESTIMATORS: Final = ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS")
+_WITHOUT: Final = {
+    "GIMBAL_DEVICE_ATTITUDE_STATUS": "no pointing can be verified",
+    "ATTITUDE": "the gimbal's yaw cannot be turned to north",
+    "GIMBAL_MANAGER_STATUS": "nobody notices who takes the gimbal",
+    "GLOBAL_POSITION_INT": "the guard of the position is blind, and so is the heading",
+    "SYS_STATUS": "the guard of the battery is blind",
+    "EXTENDED_SYS_STATE": "nobody knows whether it flies",
+}
+
+
+def connection_of(config: Config) -> ConnectionUrl:
+    """Where the configuration says that the autopilot is; looks through the serial ports for `serial = "auto"`.
+
+    Raises:
+        LinkError: none or several ports may be the flight controller.
+    """
+    section = config.vehicle
+    if section.serial == "auto":
+        return find_flight_controller(list_serial_ports(), section.baud)
+    if section.serial is not None:
+        return parse_connection(f"serial://{section.serial}:{section.baud}")
+    assert section.connection is not None
+    return parse_connection(section.connection)
+
+
+async def examine_vehicle(
+    config: Config, findings: Findings, *, clock: Clock, patience_s: float, photo: bool = False
+) -> None:
+    """Look at everything behind the MAVLink connection; nothing moves, and no photo is taken unless `photo`.
+
+    Args:
+        config: of the daemon.
+        findings: to add to.
+        clock: of missions; runs faster for a simulated vehicle that does.
+        patience_s: real seconds to wait for autopilot, gimbal and camera each.
+        photo: take one photo to see what proves it.
+    """
+    try:
+        url = await asyncio.to_thread(connection_of, config)
+    except LinkError as error:
+        findings.missing("link", "port", str(error), advice="[vehicle] serial or connection")
+        return
+    try:
+        async with contextlib.AsyncExitStack() as stack:
+            link = await stack.enter_async_context(
+                MavsdkLink(url, clock=clock, component_id=config.vehicle.component_id)
+            )
+            findings.ok("link", "port", str(url))
+            feedback = config.gimbal.feedback
+            gimbal = MavsdkGimbal(link, feedback=None if feedback == "auto" else feedback)
+            await stack.enter_async_context(gimbal)
+            vehicle = await stack.enter_async_context(MavsdkVehicle(link))
+            if not await _examine_link(link, findings, patience_s=patience_s):
+                for area in ("rates", "gimbal", "camera", "vehicle"):
+                    findings.note(area, "not examined", "there is no autopilot to ask")
+                return
+            there = await examine_gimbal(gimbal, link, config, findings, patience_s=patience_s)
+            await _examine_rates(link, findings, earth=there and gimbal_is_earth(gimbal))
+            _examine_components(link, findings)
+            if there:
+                await examine_control(gimbal, findings)
+            await examine_camera(link, config, findings, patience_s=patience_s, photo=photo)
+            await _examine_clock(link, findings)
+            _examine_status(vehicle, config, findings)
+            await link.use_rates(active=False)
+    except LinkError as error:
+        advice = "[vehicle] connection"
+        if "in use" in str(error):
+            advice = "if that is the daemon: systemctl stop panoexec, examine, systemctl start panoexec"
+        findings.missing("link", "port", str(error), advice=advice)
+
+
+def gimbal_is_earth(gimbal: MavsdkGimbal) -> bool:
+    """Whether its reports need no attitude of the vehicle."""
+    return gimbal.found is not None and gimbal.found.feedback == "earth"
+
+
+# --- the link
+
+
+async def _examine_link(link: MavsdkLink, findings: Findings, *, patience_s: float) -> bool:
+    try:
+        await link.wait_autopilot(patience_s)
+    except LinkError as error:
+        findings.missing("link", "autopilot", str(error), needed="heartbeats", advice=advise("link", ""))
+        return False
+    findings.autopilot = "ardupilot" if link.is_ardupilot else "px4"
+    name = "ArduPilot" if link.is_ardupilot else "PX4"
+    version = await _version(link)
+    findings.ok("link", "autopilot", f"{name} {version}".strip() + f", system {link.vehicle_system_id}")
+    return True
+
+
+def _examine_components(link: MavsdkLink, findings: Findings) -> None:
+    """Who else is there; all of them have beaten by now."""
+    others = [
+        f"{component} ({_COMPONENTS.get(kind, f'MAV_TYPE {kind}')})"
+        for component, (kind, _) in sorted(link.components.items())
+        if component != AUTOPILOT
+    ]
+    findings.note("link", "components", f"{', '.join(others) or 'none'} beside the autopilot")
+    if link.has_twin:
+        system, component = link.own_ids
+        findings.missing(
+            "link",
+            "our ids",
+            f"somebody else beats as {system}/{component}",
+            needed="ids of our own",
+            advice="[vehicle] component_id, or stop the other program: a second panoexec?",
+        )
+
+
+async def _version(link: MavsdkLink) -> str:
+    try:
+        message = await link.request_message(_AUTOPILOT_VERSION, "AUTOPILOT_VERSION")
+    except DeviceError:
+        return ""
+    word = int(message.fields["flight_sw_version"])
+    return f"{word >> 24 & 0xFF}.{word >> 16 & 0xFF}.{word >> 8 & 0xFF}"
+
+
+# --- rates
+
+
+async def _examine_rates(link: MavsdkLink, findings: Findings, *, earth: bool) -> None:
+    """Measure at the rates of a mission."""
+    clock = link.clock
+    await link.use_rates(active=True)
+    await clock.sleep(_SETTLE_S)
+    meters = [RateMeter(link, stream.name) for stream in DEFAULT_STREAMS]
+    for meter in meters:
+        meter.start()
+    await clock.sleep(_MEASURE_S)
+    rates = {meter.name: meter.stop() for meter in meters}
+    reports = {report.stream.name: report for report in link.streams.reports()}
+    own = {rate.component for rate in rates["GIMBAL_DEVICE_ATTITUDE_STATUS"]} - {AUTOPILOT}
+    for stream in DEFAULT_STREAMS:
+        if stream.name in _ESTIMATORS:
+            continue
+        wanted_hz = reports[stream.name].wanted_hz
+        if stream.name == "GIMBAL_DEVICE_ATTITUDE_STATUS" and own:
+            wanted_hz = stream.rate_hz  # the autopilot's copy is spared, the gimbal's own counts
+        _judge_rate(
+            findings, stream.name, rates[stream.name], wanted_hz, earth=earth, refused=reports[stream.name].refused
+        )
+    _judge_estimator(findings, rates)
+
+
+def _judge_rate(
+    findings: Findings, name: str, rates: list[Rate], wanted_hz: float, *, earth: bool, refused: bool
+) -> None:
+    best = rates[0] if rates else Rate(component=0, hz=0.0, gap_s=math.inf)
+    needed = f"{wanted_hz:g} Hz"
+    advice = advise("rates", findings.autopilot)
+    if best.hz >= _ENOUGH * wanted_hz:
+        sender = "" if best.component == AUTOPILOT else f" from component {best.component}"
+        findings.ok("rates", name, f"{best.hz:.1f} Hz{sender}, longest gap {1000 * best.gap_s:.0f} ms", needed=needed)
+        return
+    found = f"{best.hz:.1f} Hz" if best.hz else "refused" if refused else "none arrives"
+    if not best.hz:
+        found += f": {_WITHOUT[name]}"
+    least_hz = _GIMBAL_LEAST_HZ if name == "GIMBAL_DEVICE_ATTITUDE_STATUS" else 0.0
+    needless = name == "ATTITUDE" and earth
+    if name in ("GIMBAL_DEVICE_ATTITUDE_STATUS", "ATTITUDE") and best.hz <= least_hz and not needless:
+        findings.missing("rates", name, found, needed=needed, advice=advice)
+    else:
+        findings.warning("rates", name, found, needed=needed, advice=advice)
+
+
+def _judge_estimator(findings: Findings, rates: dict[str, list[Rate]]) -> None:
+    """ArduPilot has the one, PX4 the other; either will do."""
+    for name in _ESTIMATORS:
+        if rates[name]:
+            findings.ok("rates", name, f"{rates[name][0].hz:.1f} Hz")
+            return
+    findings.note("rates", " or ".join(_ESTIMATORS), "none arrives: SYS_STATUS tells whether the position is good")
+
+
+# --- the vehicle itself
+
+
+async def _examine_clock(link: MavsdkLink, findings: Findings) -> None:
+    """Compare our clock with the satellites'."""
+    try:
+        message = await link.request_message(_SYSTEM_TIME, "SYSTEM_TIME")
+    except DeviceError:
+        findings.note("clock", "vehicle", "the autopilot does not tell its time")
+        return
+    vehicle_s = int(message.fields["time_unix_usec"]) / 1e6
+    if vehicle_s <= 0:
+        findings.note(
+            "clock", "vehicle", "the autopilot does not know the time yet", advice=advise("time", findings.autopilot)
+        )
+        return
+    apart_s = time.time() - vehicle_s
+    shown = datetime.fromtimestamp(vehicle_s, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    text = f"{shown}, ours is {abs(apart_s):.1f} s {'ahead' if apart_s > 0 else 'behind'}"
+    if abs(apart_s) > _CLOCK_APART_S:
+        findings.warning(
+            "clock",
+            "vehicle",
+            text,
+            needed=f"within {_CLOCK_APART_S:g} s",
+            advice="let a time service set this computer's clock",
+        )
+    else:
+        findings.ok("clock", "vehicle", text)
+
+
+def _examine_status(vehicle: MavsdkVehicle, config: Config, findings: Findings) -> None:
+    """What the guards would say now."""
+    status, guards, autopilot = vehicle.status, config.guards, findings.autopilot
+    floor = f"{100 * guards.battery_floor_frac:.0f} % ([guards] battery_floor_frac)"
+    if math.isnan(status.battery_frac):
+        findings.warning(
+            "vehicle", "battery", "not told: its guard is blind", needed=floor, advice=advise("battery", autopilot)
+        )
+    elif status.battery_frac < guards.battery_floor_frac:
+        findings.missing("vehicle", "battery", f"{100 * status.battery_frac:.0f} %", needed=floor, advice="charge it")
+    else:
+        findings.ok("vehicle", "battery", f"{100 * status.battery_frac:.0f} %", needed=floor)
+    if status.position_ok and math.isfinite(status.heading_deg):
+        findings.ok("vehicle", "position", f"good, heading {status.heading_deg:.0f}°")
+    else:
+        findings.warning(
+            "vehicle", "position", "not good (yet)", needed="to hold its place", advice=advise("position", autopilot)
+        )
+    modes = ", ".join(guards.allowed_modes)
+    if guards.allowed_modes and status.mode not in guards.allowed_modes:
+        findings.warning(
+            "vehicle",
+            "flight mode",
+            f"{status.mode or 'unknown'} now",
+            needed=f"{modes} when a mission begins",
+            advice="the pilot's switch, or [guards] allowed_modes (OFFBOARD is ArduPilot's GUIDED, HOLD its LOITER)",
+        )
+    else:
+        findings.ok("vehicle", "flight mode", status.mode or "unknown")
+    where = "in the air" if status.in_air else "on the ground"
+    findings.note("vehicle", "state", f"{where}, {'armed' if status.armed else 'disarmed'}")
