@@ -5,12 +5,8 @@ Writes `asyncapi.yaml` to the path given, or to standard output. A test holds th
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import sys
-import types
-import typing
-from enum import Enum, IntEnum
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,6 +16,7 @@ from panoexec import __version__
 from panoexec.events import EVENT_TYPES, Event
 from panoexec.files import write_atomically
 from panoexec.mqtt.messages import MAX_PAYLOAD, REQUESTS, Response, State
+from panoexec.mqtt.schemas import answer_schemas, part_schemas, plan_schema, schema_of_dataclass
 
 _SCHEMAS: Final = "#/components/schemas/"
 _MESSAGES: Final = "#/components/messages/"
@@ -35,7 +32,11 @@ def document() -> dict[str, Any]:
     schemas |= {_camel(name): schema for name, schema in events.items()}
     schemas["Event"] = {"oneOf": [{"$ref": _SCHEMAS + _camel(name)} for name in events]}
     schemas["Status"] = {"type": "string", "enum": ["online", "offline"]}
-    schemas["Plan"] = {"type": "object", "description": "A plan file, format panoexec.plan/1."}
+    schemas |= part_schemas()
+    schemas["Plan"] = plan_schema() | {"description": "A plan file, format panoexec.plan/1."}
+    for command, data in answer_schemas({"$ref": f"{_SCHEMAS}State"}).items():
+        schemas[_answer(command)] = _answered(schemas["Response"], command, data)
+    del schemas["Response"]
     return {
         "asyncapi": "3.0.0",
         "info": {
@@ -63,7 +64,7 @@ def _channels(requests: dict[str, str]) -> dict[str, Any]:
     for command, model in requests.items():
         channels[f"request_{command}"] = _channel(f"request/{command}", {model: {"$ref": _MESSAGES + model}})
         channels[f"response_{command}"] = _channel(
-            f"response/{command}", {"Response": {"$ref": f"{_MESSAGES}Response"}}
+            f"response/{command}", {_answer(command): {"$ref": _MESSAGES + _answer(command)}}
         )
     return channels
 
@@ -101,7 +102,7 @@ def _operations() -> dict[str, Any]:
 
 def _messages(requests: dict[str, str]) -> dict[str, Any]:
     messages: dict[str, Any] = {}
-    for name in ("Status", "State", "Plan", "Event", "Response"):
+    for name in ("Status", "State", "Plan", "Event", *map(_answer, requests)):
         messages[name] = {"name": name, "payload": {"$ref": _SCHEMAS + name}}
     messages["Status"]["contentType"] = "text/plain"
     for model in requests.values():
@@ -143,7 +144,7 @@ def _event(cls: type[Event]) -> dict[str, Any]:
         "id": {"type": "string", "description": "mission_id/seq: the same for a repeated message"},
         "time": {"type": "string", "format": "date-time"},
     }
-    schema = _dataclass(cls)
+    schema = schema_of_dataclass(cls)
     return {
         "type": "object",
         "description": _first_line(cls),
@@ -152,40 +153,26 @@ def _event(cls: type[Event]) -> dict[str, Any]:
     }
 
 
-def _dataclass(cls: Any) -> dict[str, Any]:
-    """The schema of what `panoexec.codec.encode` makes of a dataclass."""
-    hints = typing.get_type_hints(cls)
-    properties = {field.name: _type(hints[field.name]) for field in dataclasses.fields(cls)}
-    return {"type": "object", "properties": properties, "required": list(properties)}
-
-
-def _type(hint: Any) -> dict[str, Any]:
-    origin, args = typing.get_origin(hint), typing.get_args(hint)
-    if origin in {types.UnionType, typing.Union}:
-        return {"anyOf": [_type(arg) for arg in args]}
-    if origin is tuple:
-        open_end = len(args) == 2 and args[1] is Ellipsis
-        size = {} if open_end else {"minItems": len(args), "maxItems": len(args)}
-        return {"type": "array", "items": _type(args[0])} | size
-    if dataclasses.is_dataclass(hint):
-        return _dataclass(hint)
-    if isinstance(hint, type) and issubclass(hint, Enum):
-        return {"type": "string", "enum": [_written(member) for member in hint]}
-    # NaN and infinity are written as null
-    names = {float: ["number", "null"], int: "integer", str: "string", bool: "boolean", type(None): "null"}
-    return {"type": names[hint]}
-
-
-def _written(member: Enum) -> str:
-    return member.name.lower() if isinstance(member, IntEnum) else str(member.value)
-
-
 def _first_line(cls: type) -> str:
     return (cls.__doc__ or "").strip().partition("\n")[0]
 
 
+def _answer(command: str) -> str:
+    return _words(command) + "Response"
+
+
+def _answered(response: dict[str, Any], command: str, data: dict[str, Any]) -> dict[str, Any]:
+    """The schema of one command's answer: `data` if it was obeyed, `error` if it was not."""
+    properties = response["properties"] | {"data": {"anyOf": [data, {"type": "null"}]}}
+    return response | {"description": f"The answer to `{command}`.", "properties": properties}
+
+
 def _camel(name: str) -> str:
-    return "".join(part.capitalize() for part in name.split("_")) + "Event"
+    return _words(name) + "Event"
+
+
+def _words(name: str) -> str:
+    return "".join(part.capitalize() for part in name.split("_"))
 
 
 def _yaml(value: Any, indent: int = 0) -> list[str]:

@@ -199,6 +199,13 @@ class AbortRequest(Request):
     reason: Text = ""
 
 
+class FinishRequest(Request):
+    """End shooting and accept the gaps."""
+
+    command: ClassVar[str] = "finish"
+    reason: Text = ""
+
+
 class SkipRequest(Request):
     """Leave a shot out; the current one if none is named."""
 
@@ -240,6 +247,7 @@ REQUESTS: dict[str, type[Request]] = {
         PauseRequest,
         ResumeRequest,
         AbortRequest,
+        FinishRequest,
         SkipRequest,
         RepeatRequest,
         GetRequest,

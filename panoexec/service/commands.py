@@ -20,6 +20,7 @@ from panoexec.mission_session import Devices
 from panoexec.mqtt.link import Incoming
 from panoexec.mqtt.messages import (
     AbortRequest,
+    FinishRequest,
     PauseRequest,
     PlanRequest,
     RefusedRequestError,
@@ -199,13 +200,13 @@ class Commands:
                 data = await self._abort(request.reason)
             case SetProfileRequest():
                 data = await self._set_profile(request.camera)
-            case PauseRequest() | SkipRequest() | RepeatRequest():
+            case PauseRequest() | FinishRequest() | SkipRequest() | RepeatRequest():
                 data = await self._command(request)
             case _:
                 data = self._refresh()
         return data
 
-    async def _command(self, request: PauseRequest | SkipRequest | RepeatRequest) -> dict[str, Any]:
+    async def _command(self, request: PauseRequest | FinishRequest | SkipRequest | RepeatRequest) -> dict[str, Any]:
         mission = self._missions.mission
         if mission is None:
             raise RefusedRequestError("refused", f"cannot {request.command}: no mission is under way")
@@ -213,6 +214,8 @@ class Commands:
         match request:
             case PauseRequest():
                 mission.verbs.pause(request.reason)
+            case FinishRequest():
+                mission.verbs.finish(request.reason)
             case SkipRequest():
                 shot = {"shot": mission.verbs.skip(request.shot)}
             case RepeatRequest():

@@ -29,13 +29,16 @@ def free_tcp_port() -> int:
 class Broker:
     """One mosquitto with a configuration of its own; what it says is in `log`."""
 
-    def __init__(self, folder: Path, *, listener: str = "", settings: str = "allow_anonymous true") -> None:
+    def __init__(
+        self, folder: Path, *, listener: str = "", settings: str = "allow_anonymous true", persistent: bool = False
+    ) -> None:
         self.port = free_tcp_port()
         self.log = folder / "mosquitto.log"
         self._config = folder / "mosquitto.conf"
         user = "user root\n" if os.geteuid() == 0 else ""
+        kept = f"true\npersistence_location {folder}/" if persistent else "false"
         self._config.write_text(
-            f"listener {self.port} 127.0.0.1\n{listener}\n{user}persistence false\n"
+            f"listener {self.port} 127.0.0.1\n{listener}\n{user}persistence {kept}\n"
             f"max_inflight_messages 0\nmax_queued_messages 100000\n{settings}\n"
         )
         self._process: subprocess.Popen[bytes] | None = None
@@ -66,9 +69,11 @@ class Broker:
 
 
 @contextlib.contextmanager
-def running_broker(folder: Path, *, listener: str = "", settings: str = "allow_anonymous true") -> Iterator[Broker]:
-    """A broker while the block runs."""
-    broker = Broker(folder, listener=listener, settings=settings)
+def running_broker(
+    folder: Path, *, listener: str = "", settings: str = "allow_anonymous true", persistent: bool = False
+) -> Iterator[Broker]:
+    """A broker while the block runs; a `persistent` one keeps sessions and what is retained when it is stopped."""
+    broker = Broker(folder, listener=listener, settings=settings, persistent=persistent)
     broker.start()
     try:
         yield broker

@@ -8,62 +8,17 @@ from typing import Any
 
 import pytest
 
+from panoexec.camera_profiles import load_profile
 from panoexec.devices import EvidenceLevel
 from panoexec.events import EVENT_TYPES, MissionFinished, MissionStarted, Photo, ShotAccepted
-from panoexec.mqtt.asyncapi import document, text
+from panoexec.mqtt.asyncapi import text
 from panoexec.mqtt.messages import REQUESTS, RefusedRequestError, failed, ok
+from panoexec.planfile import camera_to_data
 from panoexec.states import MissionState
+from tests.schemas import DOCUMENT, misfits, named, problems
 
+CAMERA = camera_to_data(load_profile("dji-x5s-15mm").camera)
 FILE = Path(__file__).parents[3] / "asyncapi.yaml"
-DOCUMENT = document()
-
-
-def problems(value: Any, schema: dict[str, Any], where: str = "$") -> list[str]:
-    """What of JSON Schema the document uses, and nothing else: an unknown keyword is a problem."""
-    known = {"description", "default", "format", "type", "enum", "const", "anyOf", "oneOf", "$ref", "properties"}
-    known |= {"required", "additionalProperties", "items", "minItems", "maxItems", "minimum", "maximum"}
-    known |= {"exclusiveMaximum", "exclusiveMinimum", "minLength", "maxLength"}
-    out = [f"{where}: keyword {key}" for key in set(schema) - known]
-    if "$ref" in schema:
-        return out + problems(value, DOCUMENT["components"]["schemas"][schema["$ref"].rpartition("/")[2]], where)
-    for key in ("anyOf", "oneOf"):
-        if key in schema:
-            fits = sum(not problems(value, one, where) for one in schema[key])
-            if fits == 0 or (key == "oneOf" and fits > 1):
-                out.append(f"{where}: fits {fits} of {key}")
-    if "const" in schema and value != schema["const"]:
-        out.append(f"{where}: {value!r} is not {schema['const']!r}")
-    if "enum" in schema and value not in schema["enum"]:
-        out.append(f"{where}: {value!r} is none of {schema['enum']}")
-    return out + of_type(value, schema, where)
-
-
-def of_type(value: Any, schema: dict[str, Any], where: str) -> list[str]:
-    kinds = {"string": str, "integer": int, "object": dict, "array": list, "boolean": bool, "null": type(None)}
-    names = schema.get("type", [])
-    names = [names] if isinstance(names, str) else names
-    if names and not any(
-        isinstance(value, (int, float) if name == "number" else kinds[name])
-        and (name == "boolean" or not isinstance(value, bool))
-        for name in names
-    ):
-        return [f"{where}: {value!r} is no {names}"]
-    out = []
-    if isinstance(value, dict):
-        properties = schema.get("properties", {})
-        out += [f"{where}: {name} is missing" for name in schema.get("required", []) if name not in value]
-        if schema.get("additionalProperties") is False:
-            out += [f"{where}: {name} is too much" for name in set(value) - set(properties)]
-        for name in set(value) & set(properties):
-            out += problems(value[name], properties[name], f"{where}.{name}")
-    if isinstance(value, list) and "items" in schema:
-        for number, item in enumerate(value):
-            out += problems(item, schema["items"], f"{where}[{number}]")
-    return out
-
-
-def named(name: str) -> dict[str, Any]:
-    return {"$ref": f"#/components/schemas/{name}"}
 
 
 def test_the_file_in_the_repository_is_what_the_code_says() -> None:
@@ -105,10 +60,11 @@ def test_events_fit_and_wrong_ones_do_not() -> None:
             assert problems({k: v for k, v in sent.items() if k != key}, named("Event")), f"{key} must be there"
 
 
-@pytest.mark.parametrize("answer", [ok(1, {"x": 1}), failed(RefusedRequestError("busy", "m"), "t")])
+@pytest.mark.parametrize("answer", [ok(1, {"camera": CAMERA}), failed(RefusedRequestError("busy", "m"), "t")])
 def test_answers_fit(answer: Any) -> None:
-    assert problems(answer.model_dump(mode="json"), named("Response")) == []
-    assert problems(answer.model_dump(mode="json") | {"status": "maybe"}, named("Response"))
+    assert misfits("response_set_profile", answer.model_dump(mode="json")) == []
+    assert misfits("response_set_profile", answer.model_dump(mode="json") | {"status": "maybe"})
+    assert misfits("response_set_profile", answer.model_dump(mode="json") | {"data": {"x": 1}})
 
 
 def test_requests_fit_and_wrong_ones_do_not() -> None:

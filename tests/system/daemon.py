@@ -1,0 +1,140 @@
+"""The daemon as a process for tests, and a ground station that holds every message to the AsyncAPI document."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import sys
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import aiomqtt
+
+from tests.schemas import DOCUMENT, misfits
+from tests.wire.broker import Broker, eventually
+
+SPEEDUP = 8.0
+BASE = "panoexec/drone"
+SMALL = {"elevation_deg": [-40, 0], "method": "paper"}
+
+
+class Ground:
+    """What a ground station with an ordinary MQTT library sees; survives a restart of the broker."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self.misfits: list[str] = []
+        self.heard: dict[str, int] = {}
+        self.events: list[dict[str, Any]] = []
+        self.answers: dict[Any, dict[str, Any]] = {}
+        self.state: dict[str, Any] = {}
+        self.states: list[str] = []
+        self.status = ""
+        self.plan: dict[str, Any] | None = None
+        self._client: aiomqtt.Client | None = None
+
+    async def run(self) -> None:
+        while True:
+            try:
+                async with aiomqtt.Client(
+                    "127.0.0.1", self._port, identifier="gcs", clean_session=False, timeout=5
+                ) as client:
+                    await client.subscribe(f"{BASE}/#", qos=1)
+                    self._client = client
+                    async for message in client.messages:
+                        self._take(str(message.topic).removeprefix(f"{BASE}/"), bytes(message.payload))
+            except aiomqtt.MqttError:
+                self._client = None
+                await asyncio.sleep(0.05)
+
+    def _take(self, topic: str, payload: bytes) -> None:
+        self._hold_to_document(topic, payload)
+        if topic == "status":
+            self.status = payload.decode()
+        elif topic == "state":
+            self.state = json.loads(payload)
+            self.states.append(self.state["state"])
+        elif topic == "plan":
+            self.plan = json.loads(payload) if payload else None
+        elif topic == "event":
+            self.events.append(json.loads(payload))
+        elif topic.startswith("response/"):
+            answer = json.loads(payload)
+            self.answers[answer["transaction"]] = answer
+
+    def _hold_to_document(self, topic: str, payload: bytes) -> None:
+        channel = topic.replace("/", "_")
+        if topic.startswith("request/") or channel not in DOCUMENT["channels"]:
+            return
+        self.heard[channel] = self.heard.get(channel, 0) + 1
+        if topic == "plan" and not payload:
+            return  # the topic is cleared
+        document = payload.decode() if topic == "status" else json.loads(payload)
+        self.misfits += [f"{topic}: {one}" for one in misfits(channel, document)]
+
+    async def ask(self, command: str, transaction: object, **fields: Any) -> dict[str, Any]:
+        """The answer to a request."""
+        self.answers.pop(transaction, None)
+        await self.send(command, json.dumps({"transaction": transaction, **fields}).encode())
+        await eventually(lambda: transaction in self.answers, 30)
+        return self.answers[transaction]
+
+    async def send(self, command: str, payload: bytes, *, retain: bool = False) -> None:
+        await eventually(lambda: self._client is not None)
+        assert self._client is not None
+        await self._client.publish(f"{BASE}/request/{command}", payload, qos=1, retain=retain)
+
+    async def until(self, condition: Callable[[], object], timeout_s: float = 30.0) -> None:
+        await eventually(condition, timeout_s)
+
+    def types(self) -> list[str]:
+        return [event["type"] for event in self.events]
+
+
+@asynccontextmanager
+async def ground_station(broker: Broker) -> AsyncIterator[Ground]:
+    ground = Ground(broker.port)
+    task = asyncio.create_task(ground.run(), name="ground station")
+    try:
+        yield ground
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+@asynccontextmanager
+async def serving(
+    folder: Path, broker: Broker, port: int, *, more: str = "", notify: Path | None = None
+) -> AsyncIterator[asyncio.subprocess.Process]:
+    """The daemon while the block runs; killed at its end if it still runs."""
+    config = folder / "config.toml"
+    config.write_text(
+        f'[vehicle]\nconnection = "udpin://127.0.0.1:{port}"\n'
+        f'[mqtt]\nhost = "127.0.0.1"\nport = {broker.port}\n[storage]\npath = "{folder}/data"\nmin_free_mb = 1\n'
+        f"[guards]\nallowed_modes = []\nbattery_floor_frac = 0\n{more}"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "NOTIFY_SOCKET"}
+    if notify is not None:
+        environment["NOTIFY_SOCKET"] = str(notify)
+        environment["WATCHDOG_USEC"] = "1500000"
+    with (folder / "serve.log").open("ab") as log:
+        process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "panoexec", "serve", "--config", str(config), "--speedup", str(SPEEDUP)),
+            stdout=log,
+            stderr=log,
+            env=environment,
+        )
+        try:
+            yield process
+        finally:
+            if process.returncode is None:
+                process.kill()
+            await process.wait()
+
+
+async def ready(ground: Ground) -> None:
+    await ground.until(lambda: ground.status == "online" and ground.state.get("reason") == "")
+    assert all(link["ok"] for link in ground.state["link"].values())
