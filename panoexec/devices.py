@@ -103,6 +103,32 @@ class CaptureEvidence:
     duplicates: int = 0
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RememberedPhoto:
+    """A photo that a camera tells of long after it was taken.
+
+    Attributes:
+        evidence: what the camera tells of it.
+        exposed_utc_s: when it was exposed on this machine's wall clock; NaN if that cannot be told.
+    """
+
+    evidence: CaptureEvidence
+    exposed_utc_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recollection:
+    """What a camera remembers.
+
+    Attributes:
+        photos: its last few, oldest first.
+        image_count: how many images it counts, -1 if it does not say.
+    """
+
+    photos: tuple[RememberedPhoto, ...] = ()
+    image_count: int = -1
+
+
 class PendingCapture(Protocol):
     """A photo that was asked for; its evidence comes while the mission goes on."""
 

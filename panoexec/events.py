@@ -255,6 +255,7 @@ class ShotExposed(ShotEvent):
         slew_settle_s: from the pointing command to settled.
         trigger_delay_s: from settled to the trigger command on the wire.
         open_loop: there is no attitude feedback; the pose is a belief.
+        images_before: how many images the camera counted before the trigger; -1 where that was not known.
     """
 
     photos: tuple[Photo, ...]
@@ -266,6 +267,7 @@ class ShotExposed(ShotEvent):
     slew_settle_s: float
     trigger_delay_s: float
     open_loop: bool = False
+    images_before: int = -1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

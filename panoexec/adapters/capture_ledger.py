@@ -202,6 +202,14 @@ class CaptureLedger:
         self._count: int | None = None
         self._count_s = math.nan
 
+    @property
+    def image_count(self) -> int:
+        """The camera's count of images, if it includes every photo triggered since its first count; else -1."""
+        counts_all = all(
+            Source.COUNT in capture.sources for capture in self._captures if not capture.commanded_s <= self._count_s
+        )
+        return self._count if self._count is not None and counts_all else -1
+
     def enter(self, capture: Capture) -> None:
         """A trigger is about to go out."""
         self._captures.append(capture)

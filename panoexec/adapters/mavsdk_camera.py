@@ -20,12 +20,11 @@ from panoexec.adapters.capture_ledger import Capture, CaptureLedger, StampClock
 from panoexec.adapters.capture_reports import captured_report, feedback_report, file_is_there
 from panoexec.adapters.mavsdk_link import REQUEST_MESSAGE, MavsdkLink
 from panoexec.adapters.message_hub import MavMessage
+from panoexec.adapters.photo_recall import CAPTURE_STATUS, IMAGE_CAPTURED, recall_images, recall_trigger
 from panoexec.adapters.stream_keeper import AUTOPILOT
-from panoexec.devices import EvidenceLevel, PendingCapture
+from panoexec.devices import EvidenceLevel, PendingCapture, Recollection
 from panoexec.errors import DeviceError
 
-IMAGE_CAPTURED: Final = 263
-CAPTURE_STATUS: Final = 262
 STORAGE_INFORMATION: Final = 261
 
 _MAV_TYPE_CAMERA: Final = 30
@@ -98,6 +97,7 @@ class MavsdkCamera:
         self._last_index = -1
         self._heard_s = -math.inf
         self._triggering = asyncio.Lock()
+        self._recalling = False
         self._off: list[Callable[[], None]] = []
 
     # --- state
@@ -217,6 +217,22 @@ class MavsdkCamera:
             capture.acknowledged(acknowledged_s)
             return capture
 
+    @property
+    def image_count(self) -> int:
+        """See `PhotoMemory.image_count`."""
+        return self._ledger.image_count
+
+    async def recall(self) -> Recollection:
+        """See `PhotoMemory.recall`: for a mission that goes on, before it takes a photo of its own."""
+        found = await self.discover()
+        self._recalling = True
+        try:
+            if found.by_autopilot:
+                return await recall_trigger(self._link, component=self._target, pin=found.feedback_pin)
+            return await recall_images(self._link, component=self._target)
+        finally:
+            self._recalling = False
+
     # --- in the vendor's thread
 
     def _image_captured(self, message: MavMessage) -> None:
@@ -297,9 +313,12 @@ class MavsdkCamera:
         self._heard_s = time.monotonic()
         report = captured_report(message, self._stamps)
         self._last_index = max(self._last_index, report.index)
-        self._ledger.report(report)
+        if not self._recalling:  # what was asked for anew proves no photo of ours
+            self._ledger.report(report)
 
     def _report_feedback(self, message: MavMessage) -> None:
+        if self._recalling:
+            return
         self._ledger.report(feedback_report(message, pin=self._found is not None and self._found.feedback_pin))
 
     async def _ask_for_news(self, capture: Capture) -> None:

@@ -272,9 +272,24 @@ class MavsdkLink:
         return int(json.loads(ack.fields_json)["result"])
 
     async def request_message(
-        self, message_id: int, name: str, *, component: int = AUTOPILOT, timeout_s: float = 2.0
+        self,
+        message_id: int,
+        name: str,
+        *,
+        component: int = AUTOPILOT,
+        timeout_s: float = 2.0,
+        index: int = 0,
+        fits: Callable[[MavMessage], bool] = lambda _: True,
     ) -> MavMessage:
         """Ask once for a message (MAV_CMD_REQUEST_MESSAGE, 512) and return it.
+
+        Args:
+            message_id: MAVLink's number of it.
+            name: MAVLink's name of it.
+            component: of whom.
+            timeout_s: real seconds that it may take after the answer to the request.
+            index: param2 of the request: which one, where there are several.
+            fits: whether a message of that name is the one asked for.
 
         Raises:
             DeviceError: refused, or it did not come within `timeout_s` real seconds after the answer.
@@ -283,12 +298,12 @@ class MavsdkLink:
         arrived: asyncio.Future[MavMessage] = asyncio.get_running_loop().create_future()
 
         def deliver(message: MavMessage) -> None:
-            if not arrived.done():
+            if not arrived.done() and fits(message):
                 arrived.set_result(message)
 
         off = self.on(name, lambda m: self.post(deliver, m) if m.component_id == component else None)
         try:
-            result = await self.command(REQUEST_MESSAGE, [message_id], component=component)
+            result = await self.command(REQUEST_MESSAGE, [message_id, index], component=component)
             if result != 0:
                 raise DeviceError(f"asking for {name} ({message_id}): {MAV_RESULTS.get(result, result)}")
             async with asyncio.timeout(timeout_s):

@@ -11,6 +11,7 @@ from panoexec.clock import Clock
 from panoexec.devices import Camera, EvidenceLevel, Gimbal, PendingCapture
 from panoexec.errors import DeviceError
 from panoexec.mission.preflight import gimbal_limits
+from panoexec.mission.protocols import PhotoMemory
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.waiting import until, within
 from panoexec.planning.duration import slew_time_s
@@ -57,6 +58,7 @@ class Exposure:
         trigger_utc_s: wall time of each trigger.
         trigger_delay_s: from settled to the first trigger on the wire.
         failure: why not all photos were taken, "" if they were.
+        images_before: how many images the camera counted before; -1 where that was not known.
     """
 
     captures: tuple[PendingCapture, ...]
@@ -64,6 +66,7 @@ class Exposure:
     trigger_utc_s: tuple[float, ...]
     trigger_delay_s: float
     failure: str = ""
+    images_before: int = -1
 
 
 @dataclass(kw_only=True)
@@ -136,6 +139,7 @@ class Shooter:
         stamps: list[float] = []
         failure = ""
         end_s = 0.0
+        images_before = self.camera.image_count if isinstance(self.camera, PhotoMemory) else -1
         for number in range(1, self.settings.brackets + 1):
             if number > 1:
                 await self.clock.sleep(self._interval_left_s())
@@ -158,6 +162,7 @@ class Shooter:
             trigger_utc_s=tuple(stamps),
             trigger_delay_s=captures[0].commanded_s - settled.settled_s,
             failure=failure,
+            images_before=images_before,
         )
 
     async def _exposure_end(self, capture: PendingCapture) -> float:

@@ -26,8 +26,10 @@ class Holding:
     def __init__(self, flight: Flight, guards: tuple[Guard, ...]) -> None:
         self._flight = flight
         self._guards = guards
-        # a process that was killed may have left the gimbal in our hands: its manager knows us by our component
-        self._touched = flight.record.gimbal_held
+        # a process that was killed may have left the gimbal in our hands: its manager knows us by our component. It is
+        # asked too, until this process did something itself: the last one may have died before the journal knew
+        self._touched = flight.record.gimbal_held or flight.record.gimbal_left
+        self._asks_manager = True
         self._boots = flight.vehicle.status.boot_count
 
     async def watch(self) -> None:
@@ -101,11 +103,11 @@ class Holding:
         self._flight.recorder.emit(paused, MissionState.PAUSED)
 
     async def acquire(self) -> bool:
-        """Take the gimbal, unless it is held; on failure the mission holds for it. Gives up when it must leave."""
+        """Take the gimbal, unless this process has it; on failure the mission holds. Gives up when it must leave."""
         flight = self._flight
         if flight.record.gimbal_held and flight.gimbal.in_control:
             return True
-        self._touched = True
+        self._touched, self._asks_manager = True, False
         try:
             done, _ = await until(flight.control.leaving.wait(), flight.gimbal.acquire(), "take the gimbal")
         except DeviceError as error:
@@ -122,11 +124,11 @@ class Holding:
             await self.acquire()
 
     async def release(self) -> None:
-        """Give the gimbal back if it was ever asked for; bounded, and never raises for a gimbal that is gone."""
-        if not self._touched:
-            return
+        """Give the gimbal back if it was asked for, now or before a crash; bounded, never raises if it is gone."""
         flight = self._flight
-        self._touched = False
+        if not self._touched and not (self._asks_manager and flight.gimbal.in_control):
+            return
+        self._touched = self._asks_manager = False
         try:
             await within(flight.clock, flight.settings.release_s, flight.gimbal.release(), "release the gimbal")
         except (TimeoutError, DeviceError):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 from panoexec.angles import FloatArray
-from panoexec.devices import CaptureEvidence
+from panoexec.devices import Recollection
 from panoexec.events import Event
 from panoexec.planning.model import Certificate, Shot
 
@@ -44,6 +44,15 @@ class Verifier(Protocol):
 class PhotoMemory(Protocol):
     """A camera that remembers what it took: settles a photo that was in flight when the process died."""
 
-    async def taken_after(self, image_index: int) -> CaptureEvidence | None:
-        """Proof of a photo newer than the one with this index (-1: than none); None if there is none."""
+    @property
+    def image_count(self) -> int:
+        """How many images it counts, if that includes all that were triggered; else -1."""
+        ...
+
+    async def recall(self) -> Recollection:
+        """Ask for its last photos.
+
+        Raises:
+            DeviceError: it does not answer.
+        """
         ...

@@ -110,6 +110,9 @@ class MissionRecord:
         self.retakes = 0
         self.current: int | None = None
         self.gimbal_held = False
+        """This process has the gimbal."""
+        self.gimbal_left = False
+        """An earlier process had it when it ended, and did not give it back."""
         self.open_loop = False
         self.certified: bool | None = None
         self.warnings: list[str] = []
@@ -152,7 +155,7 @@ class MissionRecord:
             case ev.GimbalAcquired():
                 self.gimbal_held = True
             case ev.GimbalReleased():
-                self.gimbal_held = False
+                self.gimbal_held = self.gimbal_left = False
             case ev.Warned():
                 self.warnings.append(event.text)
             case ev.PatchPlanned():
@@ -163,6 +166,8 @@ class MissionRecord:
                 pass
 
     def _start(self, event: ev.MissionStarted) -> None:
+        self.gimbal_left |= self.gimbal_held
+        self.gimbal_held = False
         if not math.isnan(event.latitude_deg):
             self.origin = (event.latitude_deg, event.longitude_deg, event.altitude_m)
         if event.resumed:

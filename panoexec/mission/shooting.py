@@ -107,6 +107,7 @@ class Shooting:
             slew_settle_s=settled.settled_s - settled.commanded_s,
             trigger_delay_s=exposure.trigger_delay_s,
             open_loop=self.shooter.open_loop,
+            images_before=exposure.images_before,
         )
         self._keep(exposed)
         by = "open_loop" if self.shooter.open_loop else "tolerance" if verdict.ok else "overlap"

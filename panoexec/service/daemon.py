@@ -85,9 +85,7 @@ class Daemon:
         self._sayings: asyncio.Queue[str] = asyncio.Queue(maxsize=_SAYINGS)
         self._published_plan: Plan | None = None
         self.vehicle = VehicleLink(config, clock=clock, changed=self._changed.set)
-        self.missions = Missions(
-            config=lambda: self.config, clock=clock, sink=self, changed=self._mission_changed, prepare=self.vehicle.wake
-        )
+        self.missions = Missions(config=lambda: self.config, clock=clock, sink=self, changed=self._mission_changed)
         self.mqtt: MqttLink | None = None
         self._mqtt_task: asyncio.Task[None] | None = None
         self._commands: Commands | None = None

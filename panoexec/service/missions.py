@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import shutil
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -70,7 +70,6 @@ class Missions:
         clock: Clock,
         sink: EventSink,
         changed: Callable[[], None],
-        prepare: Callable[[], Awaitable[None]],
     ) -> None:
         """Describe it.
 
@@ -79,7 +78,6 @@ class Missions:
             clock: of missions.
             sink: gets the events.
             changed: called when a mission begins or ends.
-            prepare: makes the vehicle's streams flow as a mission needs them; awaited before each.
         """
         self.record: MissionRecord | None = None
         self.plan: Plan | None = None
@@ -89,7 +87,6 @@ class Missions:
         self._clock = clock
         self._sink = sink
         self._changed = changed
-        self._prepare = prepare
         self._next: asyncio.Queue[tuple[StoredMission, Devices, Reference]] = asyncio.Queue()
         self._claimed = False
         self._idle = asyncio.Event()
@@ -215,18 +212,12 @@ class Missions:
             vehicle={"id": section.id, "connection": section.connection or f"serial {section.serial}"},
             reference=reference,
         )
-        # a gimbal that still names us as the one in control, after a crash, is not acquired anew
-        await self._prepare()
         with structlog.contextvars.bound_contextvars(mission_id=stored.directory.mission_id):
-            try:
-                async with opened as session:
-                    self.mission, self.record, self.plan = session.mission, session.mission.record, stored.plan
-                    self._changed()
-                    record = await session.run()
-                    _log.info("mission ended", state=record.state.value, reason=record.reason)
-            finally:
-                if devices.gimbal.in_control:
-                    await devices.gimbal.release()
+            async with opened as session:
+                self.mission, self.record, self.plan = session.mission, session.mission.record, stored.plan
+                self._changed()
+                record = await session.run()
+                _log.info("mission ended", state=record.state.value, reason=record.reason)
 
     async def _offer_again(self) -> None:
         """A mission that failed or was interrupted can be resumed without a new process."""

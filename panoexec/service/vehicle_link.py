@@ -84,11 +84,6 @@ class VehicleLink:
             camera=_fields(connected and has_camera, camera),
         )
 
-    async def wake(self) -> None:
-        """Ask for the streams that a flying mission needs; the release of the gimbal ends that."""
-        if self._link is not None:
-            await self._link.use_rates(active=True)
-
     async def run(self) -> None:
         """Hold the link for ever."""
         patience_s = _BACKOFF_S

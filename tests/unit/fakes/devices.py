@@ -16,6 +16,8 @@ from panoexec.devices import (
     CaptureEvidence,
     EvidenceLevel,
     Quaternion,
+    Recollection,
+    RememberedPhoto,
     VehicleAttitude,
     VehicleStatus,
     YawFrame,
@@ -271,8 +273,35 @@ class FakeCamera:
     refusals: int = 0
     lost_commands: int = 0
     lost_proofs: int = 0
+    remembers: bool = False
+    """Whether it tells its photos again, with their times."""
+    counts: bool = False
+    """Whether it tells how many it has taken."""
+    memory_fails: int = 0
     # what happened
     photos: list[TakenPhoto] = field(default_factory=list)
+
+    @property
+    def image_count(self) -> int:
+        return len(self.photos) if self.counts else -1
+
+    async def recall(self) -> Recollection:
+        await self.clock.sleep(0.02)
+        if self.memory_fails > 0:
+            self.memory_fails -= 1
+            raise DeviceError("the camera did not answer")
+        photos = [self._remembered(photo) for photo in self.photos[-4:]] if self.remembers else []
+        return Recollection(photos=tuple(photos), image_count=self.image_count)
+
+    def _remembered(self, photo: TakenPhoto) -> RememberedPhoto:
+        evidence = CaptureEvidence(
+            level=self.level,
+            received_s=self.clock.monotonic(),
+            image_index=photo.index,
+            file_url=f"IMG_{photo.index:04d}.jpg" if self.level >= EvidenceLevel.CAPTURE_MESSAGE else "",
+        )
+        ago_s = self.clock.monotonic() - photo.exposed_s
+        return RememberedPhoto(evidence=evidence, exposed_utc_s=self.clock.time() - ago_s)
 
     async def trigger(self) -> FakeCapture:
         commanded_s = self.clock.monotonic()

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from panoexec.devices import AttitudeFeed, PendingCapture
+from panoexec.devices import AttitudeFeed, PendingCapture, Recollection
 from panoexec.errors import DeviceError
 from panoexec.events import Event
 from panoexec.mission.executor import Mission
@@ -83,6 +83,13 @@ class _Camera:
     @property
     def storage_free_images(self) -> float:
         return self._real.storage_free_images
+
+    @property
+    def image_count(self) -> int:
+        return self._real.image_count
+
+    async def recall(self) -> Recollection:
+        return await self._real.recall()
 
     async def trigger(self) -> PendingCapture:
         if self._process.dead:

@@ -68,6 +68,11 @@ def _blink(world: World) -> None:
     world.gimbal.mute = lambda at_s: _shutter_open(world, at_s)
 
 
+def _prove_as_usual(world: World) -> None:
+    """A camera that can be asked later is in no hurry: there is time to die between the pose and the proof."""
+    world.camera.proof_after_s = 0.5 if world.camera.counts else 0.05
+
+
 FAULTS: dict[str, tuple[Callable[[World], None], Callable[[World], None]]] = {
     "link": (_set("vehicle", connected=False), _set("vehicle", connected=True)),
     "silent": (_set("gimbal", silent=True), _set("gimbal", silent=False)),
@@ -88,7 +93,7 @@ FAULTS: dict[str, tuple[Callable[[World], None], Callable[[World], None]]] = {
     "reboot": (_set("vehicle", boot_count=1), lambda _: None),
     "storage": (_set("camera", storage_free_images=0), _set("camera", storage_free_images=1e9)),
     "lost proof": (_set("camera", lost_proofs=1), _set("camera", lost_proofs=0)),
-    "late proof": (_set("camera", proof_after_s=0.7), _set("camera", proof_after_s=0.05)),
+    "late proof": (_set("camera", proof_after_s=0.7), _prove_as_usual),
     "lost command": (_set("camera", lost_commands=1), _set("camera", lost_commands=0)),
     "refused photo": (_set("camera", refusals=1), _set("camera", refusals=0)),
     "slow disk": (_set("journal", delay_s=0.8), _set("journal", delay_s=0.004)),
@@ -106,6 +111,8 @@ class Tally:
     states: set[str]
     codes: set[str]
     kills: int = 0
+    settled: int = 0
+    filed: int = 0
     resumed: int = 0
     accepted: int = 0
     rejected: int = 0
@@ -141,6 +148,17 @@ async def _stir(rng: random.Random, world: World, mission: Mission, steps: int) 
         _command(rng, mission, "resume")
 
 
+async def _moment(rng: random.Random, world: World) -> None:
+    """A moment to kill at: any, or soon after a trigger, where a photo is in flight."""
+    if rng.random() < 0.5:
+        await world.clock.sleep(rng.random() * 3.0)
+        return
+    photos = len(world.camera.photos) + rng.randrange(3)
+    while len(world.camera.photos) <= photos:
+        await world.clock.sleep(0.01)
+    await world.clock.sleep(rng.random() * 0.7)
+
+
 async def _live(rng: random.Random, world: World, tally: Tally) -> MissionRecord | None:
     """One process: it ends by itself, or is killed, or stopped hard. Returns None when it was killed."""
     process = Process(world)
@@ -150,7 +168,7 @@ async def _live(rng: random.Random, world: World, tally: Tally) -> MissionRecord
         running = group.create_task(mission.run(), name="mission")
         stirring = group.create_task(_stir(rng, world, mission, rng.randrange(14)), name="stir")
         if end != "by itself":
-            killer = group.create_task(world.clock.sleep(rng.random() * 3.0), name="killer")
+            killer = group.create_task(_moment(rng, world), name="killer")
             await asyncio.wait({running, killer}, return_when=asyncio.FIRST_COMPLETED)
             killer.cancel()
         if end == "kill" and not running.done():
@@ -186,7 +204,8 @@ async def _sequence(seed: int, tally: Tally) -> None:
     )
     plan = a_plan(rng.choice([1, 3, 4]))
     async with a_world(plan=plan, settings=settings, rate_hz=20.0, limits=FAST, seed=seed) as world:
-        world.camera.proof_after_s = 0.05
+        world.camera.remembers, world.camera.counts = rng.choice([(True, True), (False, True), (False, False)])
+        _prove_as_usual(world)
         for lives in range(1, 7):
             record = await _live(rng, world, tally)
             world.vehicle.change(boot_count=0)
@@ -200,11 +219,28 @@ async def _sequence(seed: int, tally: Tally) -> None:
             tally.resumed += 1
         else:
             return
+        tally.settled += _settled_after_a_crash(world)
         for shot in record.shots.values():
             for attempt in shot.attempts:
+                tally.filed += attempt.code == "crash" and bool(attempt.photos) and attempt.exposed is None
                 tally.accepted += attempt.verdict is Verdict.ACCEPTED
                 tally.rejected += attempt.verdict is Verdict.REJECTED
                 tally.codes.add(attempt.code)
+
+
+def _settled_after_a_crash(world: World) -> int:
+    """Photos that were in flight when a process died, and count all the same: by what the camera remembered."""
+    count, exposed_before = 0, False
+    exposed: set[tuple[int, int]] = set()
+    for event in world.journal.events:
+        match event:
+            case ev.MissionStarted():
+                exposed_before, exposed = True, set()
+            case ev.ShotExposed():
+                exposed.add((event.shot, event.attempt))
+            case ev.ShotAccepted() if exposed_before and (event.shot, event.attempt) not in exposed:
+                count += 1
+    return count
 
 
 def _check_photos(world: World, record: MissionRecord, lives: int) -> None:
@@ -243,6 +279,8 @@ def test_the_sequences_reached_what_they_are_for() -> None:
     assert TALLY.states >= {"complete", "incomplete", "aborted", "failed", "paused"}
     assert TALLY.codes >= {"not_settled", "pointing", "no_samples", "trigger", "evidence", "gimbal", "crash"}
     assert TALLY.kills > COUNT / 10
+    assert TALLY.settled > COUNT / 200
+    assert TALLY.filed > COUNT / 200
     assert TALLY.resumed > COUNT / 10
     assert TALLY.accepted > COUNT
     assert TALLY.rejected > COUNT / 5

@@ -1,0 +1,337 @@
+"""A process that dies at any moment of a mission: what the next one settles by evidence, and what it takes again."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+from panoexec import events as ev
+from panoexec.devices import EvidenceLevel
+from panoexec.mission.record import MissionRecord, ShotStatus, Verdict
+from panoexec.states import MissionState
+from tests.unit.fakes.checks import check_mission
+from tests.unit.fakes.process import Process
+from tests.unit.fakes.virtual import run_virtual
+from tests.unit.fakes.world import World, a_plan, a_world, some_settings
+
+S = MissionState
+Moment = Callable[[World], bool]
+
+
+@dataclass
+class Two:
+    """Two lives of one mission.
+
+    Attributes:
+        world: as it is after both.
+        record: at the end.
+        kept: events that the first one left on disk.
+        photos: that the camera had taken when the first one died.
+    """
+
+    world: World
+    record: MissionRecord
+    kept: list[ev.Event]
+    photos: int
+
+    def second_life(self, kind: type[ev.Event]) -> list[Any]:
+        return [event for event in self.world.journal.events[len(self.kept) :] if isinstance(event, kind)]
+
+
+def killed_when(moment: Moment, prepare: Callable[[World], None], **settings: Any) -> Two:
+    """Fly, die the moment that something is true, and fly on in a new process."""
+
+    async def main() -> Two:
+        async with a_world(settings=some_settings(**settings)) as world:
+            prepare(world)
+            process = Process(world)
+            running = asyncio.create_task(process.mission().run(), name="first life")
+            while not moment(world):
+                await world.clock.sleep(0.001)
+            await process.kill(running)
+            kept, photos = list(world.journal.events), len(world.camera.photos)
+            record = await Process(world).mission(past=kept).run()
+            check_mission(world, record)
+            return Two(world, record, kept, photos)
+
+    return run_virtual(main())
+
+
+def exposed(count: int) -> Moment:
+    """The pose of so many photos is on disk, and the proof of the last one is still to come."""
+    return lambda world: sum(isinstance(event, ev.ShotExposed) for event in world.journal.events) >= count
+
+
+def open_shutter(count: int) -> Moment:
+    """So many photos were triggered; the last one's shutter is open."""
+    return lambda world: (
+        len(world.camera.photos) >= count and world.clock.monotonic() >= world.camera.photos[count - 1].exposed_s
+    )
+
+
+def a_camera(*, remembers: bool = False, counts: bool = False, proof_after_s: float = 0.6) -> Callable[[World], None]:
+    def prepare(world: World) -> None:
+        world.camera.remembers, world.camera.counts = remembers, counts
+        world.camera.proof_after_s = proof_after_s
+
+    return prepare
+
+
+def test_a_photo_whose_pose_was_on_disk_counts_when_the_camera_remembers_it() -> None:
+    two = killed_when(exposed(2), a_camera(remembers=True))
+    assert two.record.state is S.COMPLETE
+    assert len(two.world.camera.photos) == 4  # none was repeated
+    accepted = two.second_life(ev.ShotAccepted)[0]
+    assert (accepted.shot, accepted.attempt, accepted.by) == (1, 1, "tolerance")
+    assert (accepted.photos[0].image_index, accepted.photos[0].file) == (1, "IMG_0001.jpg")
+    assert accepted.photos[0].evidence is EvidenceLevel.CAPTURE_MESSAGE
+    # the slew to the next shot had begun; the camera knows that there was no photo
+    assert [event.shot for event in two.second_life(ev.ShotInterrupted)] == [2]
+    assert two.record.retakes == 0
+
+
+def test_the_count_tells_of_a_photo_where_the_camera_tells_no_times() -> None:
+    two = killed_when(exposed(2), a_camera(counts=True))
+    assert len(two.world.camera.photos) == 4
+    accepted = two.second_life(ev.ShotAccepted)[0]
+    assert (accepted.shot, accepted.photos[0].evidence) == (1, EvidenceLevel.COUNTED)
+
+
+def test_a_count_that_somebody_else_may_have_raised_proves_nothing() -> None:
+    def foreign(world: World) -> bool:
+        if not exposed(2)(world):
+            return False
+        world.camera.photos.append(world.camera.photos[-1])
+        return True
+
+    two = killed_when(foreign, a_camera(counts=True))
+    rejected = two.second_life(ev.ShotRejected)[0]
+    assert (rejected.shot, rejected.code) == (1, "crash")
+    assert two.record.state is S.COMPLETE
+
+
+@pytest.mark.parametrize("memory_fails", [0, 1, 2])
+def test_a_camera_that_does_not_answer_is_asked_once_more(memory_fails: int) -> None:
+    def prepare(world: World) -> None:
+        a_camera(remembers=True)(world)
+        world.camera.memory_fails = memory_fails
+
+    two = killed_when(exposed(2), prepare)
+    assert two.record.state is S.COMPLETE
+    assert len(two.world.camera.photos) == (5 if memory_fails == 2 else 4)
+
+
+def test_without_a_memory_the_photo_is_taken_again_once() -> None:
+    two = killed_when(exposed(2), a_camera())
+    assert two.record.state is S.COMPLETE
+    assert len(two.world.camera.photos) == 5
+    attempts = two.record.shots[1].attempts
+    assert [(a.verdict, a.code) for a in attempts] == [(Verdict.REJECTED, "crash"), (Verdict.ACCEPTED, "")]
+    assert attempts[0].reason == "panoexec stopped before its photo was proven"
+
+
+def test_acknowledgement_is_proof_enough_where_no_more_is_asked_for() -> None:
+    # the verdict of the first life never reached the disk, the exposure with its acknowledgement did
+    two = killed_when(exposed(2), a_camera(), min_evidence=EvidenceLevel.ACKNOWLEDGED)
+    assert len(two.world.camera.photos) == 4
+    assert two.record.state is S.COMPLETE
+
+
+def test_a_photo_whose_pose_is_not_on_disk_is_filed_and_taken_again() -> None:
+    two = killed_when(open_shutter(2), a_camera(remembers=True, counts=True))
+    assert two.record.state is S.COMPLETE
+    assert len(two.world.camera.photos) == 5
+    first, second = two.record.shots[1].attempts
+    assert (first.verdict, first.code, first.exposed) == (Verdict.REJECTED, "crash", None)
+    assert [photo.image_index for photo in first.photos] == [1]
+    assert "before the pointing of its photo was on record" in first.reason
+    assert [photo.image_index for photo in second.photos] == [2]
+    assert two.record.retakes == 1
+
+
+def test_a_remembered_photo_of_less_proof_than_asked_for_does_not_count() -> None:
+    def prepare(world: World) -> None:
+        a_camera(remembers=True)(world)
+        world.camera.level = EvidenceLevel.COUNTED
+
+    two = killed_when(exposed(1), prepare, min_evidence=EvidenceLevel.CAPTURE_MESSAGE, attempts=1, rounds=1)
+    assert two.record.shots[0].attempts[0].code == "crash"
+    assert two.record.state is S.INCOMPLETE
+
+
+def test_a_photo_out_of_tolerance_never_counts_however_well_the_camera_remembers() -> None:
+    """With `accept = overlap` it waits for its proof before its verdict: the certificate is not on disk."""
+
+    def prepare(world: World) -> None:
+        a_camera(remembers=True)(world)
+        world.gimbal.drift = lambda at_s: (
+            0.0,
+            0.3 if world.camera.photos and at_s - world.camera.photos[-1].triggered_s < 0.3 else 0.0,
+            0.0,
+        )
+
+    two = killed_when(exposed(1), prepare, accept="overlap", max_rate_deg_s=8.0)
+    first = two.record.shots[0].attempts[0]
+    assert (first.verdict, first.code) == (Verdict.REJECTED, "crash")
+    assert "off by" in first.reason
+    assert first.photos[0].image_index == 0  # filed all the same
+
+
+def test_brackets_count_when_each_photo_is_remembered() -> None:
+    two = killed_when(exposed(1), a_camera(remembers=True), brackets=2, interval_s=0.3)
+    assert len(two.world.camera.photos) == 8
+    accepted = two.second_life(ev.ShotAccepted)[0]
+    assert [photo.image_index for photo in accepted.photos] == [0, 1]
+
+
+def test_the_file_of_a_photo_that_counted_already_is_learned_after_the_crash() -> None:
+    def accepted(world: World) -> bool:
+        return any(isinstance(event, ev.ShotAccepted) for event in world.journal.events)
+
+    two = killed_when(accepted, a_camera(remembers=True), min_evidence=EvidenceLevel.ACKNOWLEDGED)
+    identified = two.second_life(ev.PhotoIdentified)[0]
+    assert (identified.shot, identified.photos[0].file) == (0, "IMG_0000.jpg")
+    assert two.record.shots[0].status is ShotStatus.ACCEPTED
+    assert len(two.world.camera.photos) == 4
+
+
+def test_a_second_stop_before_anything_was_settled_leaves_it_to_the_third_process() -> None:
+    async def main() -> None:
+        async with a_world() as world:
+            a_camera(remembers=True)(world)
+            process = Process(world)
+            running = asyncio.create_task(process.mission().run(), name="first life")
+            while not exposed(2)(world):
+                await world.clock.sleep(0.001)
+            await process.kill(running)
+            second = world.mission(past=list(world.journal.events))
+            asking = asyncio.create_task(second.run(), name="second life")
+            await world.clock.sleep(0.001)
+            second.verbs.interrupt()
+            record = await asking
+            assert record.state is S.PAUSED
+            assert record.shots[1].open_attempt is not None
+            record = await world.mission(past=list(world.journal.events)).run()
+            check_mission(world, record)
+            assert record.state is S.COMPLETE
+            assert len(world.camera.photos) == 4
+
+    run_virtual(main())
+
+
+def _killed_at(at_s: float, prepare: Callable[[World], None]) -> tuple[World, MissionRecord]:
+    """A mission of two shots that is killed after so long, unless it has ended, and then resumed."""
+
+    async def main() -> tuple[World, MissionRecord]:
+        async with a_world(plan=a_plan(2)) as world:
+            prepare(world)
+            process = Process(world)
+            running = asyncio.create_task(process.mission().run(), name="first life")
+            done, _ = await asyncio.wait({running}, timeout=at_s)
+            if done:
+                return world, running.result()
+            await process.kill(running)
+            if world.journal.events and world.record_of_journal().ended:
+                return world, world.record_of_journal()
+            record = await world.mission(past=list(world.journal.events)).run()
+            check_mission(world, record)
+            return world, record
+
+    return run_virtual(main())
+
+
+@pytest.mark.parametrize("remembers", [True, False])
+def test_a_kill_at_whatever_moment_costs_one_photo_at_most(remembers: bool) -> None:
+    """Kills every 25 ms about the second photo, and every half second elsewhere."""
+    prepare = a_camera(remembers=remembers, counts=remembers, proof_after_s=0.3)
+    whole, _ = _killed_at(math.inf, prepare)
+    start_s = 1000.1
+    trigger_s = whole.camera.photos[1].triggered_s - start_s
+    end_s = whole.journal.events[-1].time_utc_s - 1_700_000_000.0 - start_s
+    moments = [trigger_s + 0.025 * step for step in range(-2, 22)] + [0.5 * step for step in range(1, int(2 * end_s))]
+    repeated, settled = set(), set()
+    for at_s in moments:
+        world, record = _killed_at(at_s, prepare)
+        assert record.state is S.COMPLETE
+        assert len(world.camera.photos) <= 3
+        assert sum(a.verdict is Verdict.ACCEPTED for shot in record.shots.values() for a in shot.attempts) == 2
+        if len(world.camera.photos) == 3:
+            repeated.add(at_s)
+        # in a process of its own, before its preflight
+        settled |= {
+            at_s for event in world.journal.events if event.type == "shot_accepted" and event.state is S.PREFLIGHT
+        }
+    about = {at_s for at_s in moments if 0 <= at_s - trigger_s <= 0.3}
+    assert repeated & about
+    assert bool(settled) is remembers
+    # with a memory it is only the time from the trigger to the verdict on the pose that costs a photo
+    longest_s = whole.settings.exposure_bound_s + 2 * whole.journal.delay_s if remembers else 0.45
+    assert all(0 <= at_s - trigger_s <= longest_s for at_s in repeated if at_s in about)
+
+
+class TestGimbalAfterACrash:
+    """The manager goes on to name us when we are dead: the next process gives the gimbal back, whatever it does."""
+
+    @staticmethod
+    def _crashed(world: World, *, knows: bool) -> list[ev.Event]:
+        """What a process left on disk that died with the gimbal in its hands, before or after the journal knew."""
+        world.gimbal.in_control = True
+        head = {"mission_id": "m1", "time_utc_s": 1_700_000_000.0, "state": S.PREFLIGHT}
+        past: list[ev.Event] = [ev.MissionStarted(shots_total=4, seq=1, **head)]  # type: ignore[arg-type]
+        if knows:
+            past.append(ev.GimbalAcquired(seq=2, **head))  # type: ignore[arg-type]
+        world.journal.events.extend(past)
+        world.sink.events.extend(past)
+        return past
+
+    @pytest.mark.parametrize("knows", [True, False])
+    def test_it_is_taken_anew_as_that_also_wakes_the_streams(self, knows: bool) -> None:
+        async def main() -> None:
+            async with a_world() as world:
+                record = await world.mission(past=self._crashed(world, knows=knows)).run()
+                assert record.state is S.COMPLETE
+                assert world.gimbal.acquired == 1
+                check_mission(world, record)
+
+        run_virtual(main())
+
+    @pytest.mark.parametrize("knows", [True, False])
+    def test_it_is_given_back_by_a_process_that_never_comes_to_take_it(self, knows: bool) -> None:
+        async def main() -> None:
+            async with a_world() as world:
+                world.vehicle.change(in_air=False)
+                record = await world.mission(past=self._crashed(world, knows=knows)).run()
+                assert record.state is S.FAILED
+                assert world.gimbal.acquired == 0
+                assert world.gimbal.released == 1
+                assert not world.gimbal.in_control
+
+        run_virtual(main())
+
+    def test_killed_once_more_before_it_took_it_the_third_process_still_gives_it_back(self) -> None:
+        async def main() -> None:
+            async with a_world() as world:
+                past = self._crashed(world, knows=True)
+                head = {"mission_id": "m1", "time_utc_s": 1_700_000_001.0, "state": S.PREFLIGHT}
+                past.append(ev.MissionStarted(shots_total=4, resumed=True, seq=3, **head))  # type: ignore[arg-type]
+                world.journal.events[:] = past
+                world.vehicle.change(in_air=False)
+                world.gimbal.in_control = False  # its manager has not been heard yet
+                await world.mission(past=past).run()
+                assert world.gimbal.released == 1
+
+        run_virtual(main())
+
+    def test_a_gimbal_that_is_not_ours_is_left_alone(self) -> None:
+        async def main() -> None:
+            async with a_world() as world:
+                world.vehicle.change(in_air=False)
+                await world.mission().run()
+                assert world.gimbal.released == 0
+
+        run_virtual(main())
