@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from panoexec.angles import FloatArray, wrap_180
 from panoexec.errors import PlanningError
 from panoexec.optics import Camera
-from panoexec.planning.model import Estimate, GimbalLimits, Plan, Shot, Timing
+from panoexec.planning.model import Estimate, GimbalLimits, Plan, Shot, Timing, Turning
+from panoexec.planning.turns import NO_TURN_DEG, headings_deg
 
 
 def axis_time_s(angle_deg: ArrayLike, rate_deg_s: float, acceleration_deg_s2: float) -> FloatArray:
@@ -22,9 +23,9 @@ def axis_time_s(angle_deg: ArrayLike, rate_deg_s: float, acceleration_deg_s2: fl
 
 
 def yaw_travel_deg(limits: GimbalLimits, from_yaw_deg: ArrayLike, to_yaw_deg: ArrayLike) -> FloatArray:
-    """Signed angle that the pan axis turns: the short way without end stops, else the way that does not cross ±180°."""
+    """Signed angle that the camera pans: the short way without end stops, else the way that does not cross ±180°."""
     travel = np.asarray(to_yaw_deg, dtype=np.float64) - np.asarray(from_yaw_deg, dtype=np.float64)
-    return wrap_180(travel) if limits.yaw_endless else travel
+    return wrap_180(travel) if limits.all_round else travel
 
 
 def slew_times_s(
@@ -34,11 +35,24 @@ def slew_times_s(
     to_pitch_deg: ArrayLike,
     to_yaw_deg: ArrayLike,
 ) -> FloatArray:
-    """Least time of slews; both axes move at once (Chebyshev metric); arguments broadcast."""
+    """Least time of slews; both axes move at once (Chebyshev metric); arguments broadcast.
+
+    Where the gimbal does not pan, the vehicle does, and its nose must come to rest. Turns of the vehicle under a gimbal
+    that pans a part of the circle depend on more than two poses: see `panoexec.planning.turns`.
+    """
     travel = np.asarray(to_pitch_deg, dtype=np.float64) - np.asarray(from_pitch_deg, dtype=np.float64)
     pitch_s = axis_time_s(travel, limits.pitch_rate_deg_s, limits.pitch_acceleration_deg_s2)
     yaw = yaw_travel_deg(limits, from_yaw_deg, to_yaw_deg)
+    if limits.turning is not None and not limits.pans:
+        return np.maximum(pitch_s, turn_times_s(limits.turning, yaw))
     return np.maximum(pitch_s, axis_time_s(yaw, limits.yaw_rate_deg_s, limits.yaw_acceleration_deg_s2))
+
+
+def turn_times_s(turning: Turning, angle_deg: ArrayLike) -> FloatArray:
+    """Time of turns of the vehicle, its coming to rest included; 0 where it does not turn."""
+    angle = np.abs(np.asarray(angle_deg, dtype=np.float64))
+    moving_s = axis_time_s(angle, turning.rate_deg_s, turning.acceleration_deg_s2) + turning.settle_s
+    return np.where(angle > NO_TURN_DEG, moving_s, 0.0)
 
 
 def slew_time_s(
@@ -107,4 +121,8 @@ def _angles(shots: Sequence[Shot]) -> tuple[FloatArray, FloatArray]:
 
 def _slews_s(shots: Sequence[Shot], limits: GimbalLimits) -> FloatArray:
     pitch, yaw = _angles(shots)
-    return slew_times_s(limits, pitch[:-1], yaw[:-1], pitch[1:], yaw[1:])
+    slews = slew_times_s(limits, pitch[:-1], yaw[:-1], pitch[1:], yaw[1:])
+    if limits.turning is None or not limits.pans or limits.yaw_endless:
+        return slews
+    turned = wrap_180(np.diff(headings_deg(yaw, limits)))
+    return np.maximum(slews, turn_times_s(limits.turning, turned))

@@ -75,7 +75,7 @@ def check_reachable(shots: Sequence[Shot], gimbal: GimbalLimits | None) -> None:
                 f"a row at pitch {shot.pitch_deg:.1f}° is needed, the gimbal reaches "
                 f"{gimbal.pitch_min_deg:g} to {gimbal.pitch_max_deg:g}°: ask for a smaller elevation band"
             )
-        if not gimbal.yaw_endless and not gimbal.yaw_min_deg <= shot.yaw_deg <= gimbal.yaw_max_deg:
+        if not gimbal.all_round and not gimbal.yaw_min_deg <= shot.yaw_deg <= gimbal.yaw_max_deg:
             raise PlanningError(
                 f"a shot at yaw {shot.yaw_deg:.1f}° is needed, the gimbal pans from "
                 f"{gimbal.yaw_min_deg:g} to {gimbal.yaw_max_deg:g}°: ask for a smaller azimuth sector"

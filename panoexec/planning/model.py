@@ -67,10 +67,29 @@ class AngleBox:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Turning:
+    """How the vehicle turns on the spot, where it pans the camera.
+
+    Attributes:
+        rate_deg_s: largest speed, which it is also asked for.
+        acceleration_deg_s2: of the start and the end of a turn.
+        settle_s: until the nose stands still after one, besides the settle time of every shot.
+        margin_deg: so much of each end of the gimbal's pan range is left for the swaying of the nose.
+    """
+
+    rate_deg_s: float = 45.0
+    acceleration_deg_s2: float = 90.0
+    settle_s: float = 1.0
+    margin_deg: float = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GimbalLimits:
     """Where the gimbal can point: pitch range and pan range, degrees; rates and accelerations per axis.
 
-    A pan range of 360 or more has no end stops. Rates in degrees a second, accelerations in degrees a second squared.
+    A pan range of 360 or more has no end stops, one of 0 is a gimbal of two axes. Rates in degrees a second,
+    accelerations in degrees a second squared. With `turning` the pan range is relative to a nose that may be turned, so
+    that every yaw can be reached.
     """
 
     pitch_min_deg: float = -90.0
@@ -83,6 +102,18 @@ class GimbalLimits:
     yaw_acceleration_deg_s2: float = 360.0
     yaw_endless: bool = True
     """Whether the pan axis may turn through ±180 without end."""
+    turning: Turning | None = None
+    """How the vehicle pans where the gimbal cannot; None: it is never turned."""
+
+    @property
+    def pans(self) -> bool:
+        """Whether the gimbal has a pan axis at all, or one that is used."""
+        return self.yaw_endless or self.yaw_max_deg > self.yaw_min_deg
+
+    @property
+    def all_round(self) -> bool:
+        """Whether every yaw can be reached, and the short way."""
+        return self.yaw_endless or self.turning is not None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -164,7 +164,7 @@ class RowLayout:
 
 def _blind_arc(gimbal: GimbalLimits | None) -> tuple[float, float]:
     """Start and width of the yaws that the gimbal cannot have, degrees; width 0 where it reaches all."""
-    if gimbal is None:
+    if gimbal is None or gimbal.turning is not None:
         return 0.0, 0.0
     reach = gimbal.yaw_max_deg - gimbal.yaw_min_deg
     if reach >= 360.0 - _HAIR_DEG:

@@ -14,9 +14,10 @@ from typing import Final, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from panoexec.angles import FloatArray, direction
+from panoexec.angles import FloatArray, direction, wrap_180
 from panoexec.planning.duration import shot_times_s, slew_times_s, yaw_travel_deg
 from panoexec.planning.model import GimbalLimits, Shot, Timing
+from panoexec.planning.turns import PanReach, stations
 
 Order: TypeAlias = Literal["fastest", "rows", "columns", "nadir-first", "sky-first"]
 ORDERS: Final[tuple[Order, ...]] = get_args(Order)
@@ -46,13 +47,15 @@ def order_shots(
         shots: in any order; rows as `Shot.row` tells.
         limits: rates, accelerations, and whether the pan axis turns without end.
         timing: settle time, exposure, camera interval.
-        order: `fastest`; `rows`: row by row, from the end that is faster; `columns`; `nadir-first` and `sky-first`: row
-            by row from that end.
+        order: `fastest` (where the vehicle must turn: once round, with the fewest turns); `rows`: row by row, from the
+            end that is faster; `columns`; `nadir-first` and `sky-first`: row by row from that end.
         start: where the gimbal looks before the first slew; anywhere if not given.
     """
     if len(shots) < 2:
         return tuple(replace(shot, index=0) for shot in shots)
     cost = _Cost.of(shots, limits, timing, start)
+    if order == "fastest" and limits.turning is not None and not limits.yaw_endless:
+        return tuple(replace(shots[i], index=n) for n, i in enumerate(_by_stations(shots, limits, timing, start)))
     match order:
         case "columns":
             path = _columns(shots, cost)
@@ -61,13 +64,35 @@ def order_shots(
         case "sky-first":
             path = _serpentine(shots, cost, upwards=False)
         case _:
-            starts = [_serpentine(shots, cost, upwards=up) for up in (True, False)]
-            if order == "fastest":
-                starts.append(_columns(shots, cost))
-                starts.sort(key=cost.total)
-                starts = [_improved(path, cost) for path in starts[: 1 if len(shots) > _MANY else None]]
-            path = min(starts, key=cost.total)
+            path = _fastest(shots, cost) if order == "fastest" else min(_both_ways(shots, cost), key=cost.total)
     return tuple(replace(shots[int(i)], index=n) for n, i in enumerate(path))
+
+
+def _both_ways(shots: Sequence[Shot], cost: _Cost) -> list[Indices]:
+    return [_serpentine(shots, cost, upwards=up) for up in (True, False)]
+
+
+def _fastest(shots: Sequence[Shot], cost: _Cost) -> Indices:
+    if len(shots) < 2:
+        return np.arange(len(shots))
+    starts = [*_both_ways(shots, cost), _columns(shots, cost)]
+    starts.sort(key=cost.total)
+    return min((_improved(path, cost) for path in starts[: 1 if len(shots) > _MANY else None]), key=cost.total)
+
+
+def _by_stations(shots: Sequence[Shot], limits: GimbalLimits, timing: Timing, start: Pose | None) -> list[int]:
+    """From heading to heading, once round; at each the shots that the gimbal reaches from there, the fastest way."""
+    groups = stations([shot.yaw_deg for shot in shots], PanReach.of(limits))
+    still = replace(limits, turning=None, yaw_endless=False)  # between its stops, the gimbal alone
+    path: list[int] = []
+    for group in groups:
+        # yaws about the middle of the group, where no stop is crossed
+        middle = shots[group[0]].yaw_deg + (shots[group[-1]].yaw_deg - shots[group[0]].yaw_deg) % 360.0 / 2
+        local = [replace(shots[i], index=0, yaw_deg=float(wrap_180(shots[i].yaw_deg - middle))) for i in group]
+        before = start if not path else (shots[path[-1]].pitch_deg, float(wrap_180(shots[path[-1]].yaw_deg - middle)))
+        cost = _Cost.of(local, still, timing, before)
+        path += [int(group[i]) for i in _fastest(local, cost)]
+    return path
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +150,7 @@ def _entered(row: Indices, cost: _Cost, last: int | None) -> Indices:
     """The cheapest way through one row (sorted by yaw) from the pose before it."""
     n = len(row)
     # an endless pan axis may begin anywhere, one with stops only at the ends
-    cuts = np.arange(n) if cost.limits.yaw_endless else np.array([0])
+    cuts = np.arange(n) if cost.limits.all_round else np.array([0])
     hops = cost.between(row, np.roll(row, -1))
     inside = hops.sum() - hops[cuts - 1]
     best: tuple[float, Indices] | None = None
