@@ -44,6 +44,7 @@ _SEVERITY_NOTICE: Final = 5
 _PARAMETER_TRIES: Final = 3
 _PARAMETER_PAUSE_S: Final = 0.2
 _TICK_S: Final = 0.25
+_SPARING_TICK_S: Final = 0.5
 _LOOK_S: Final = 0.05
 _SILENT_REOPEN_S: Final = 5.0
 
@@ -82,7 +83,7 @@ class MavsdkLink:
             vehicle_system_id: which vehicle, where one connection carries several; None takes the first.
             streams: messages to ask for.
             patient: a serial device or a host that is absent when the link is opened is waited for, not an error.
-            sparing: look at fast streams only four times a second (of real time) while no mission flies.
+            sparing: look at fast streams only twice a second (of real time) while no mission flies.
 
         Raises:
             UsageError: the URL is wrong.
@@ -343,6 +344,7 @@ class MavsdkLink:
     async def use_rates(self, *, active: bool) -> None:
         """Ask for the rates of a flying mission, or for those of waiting. What fails is tried again by itself."""
         self.streams.active = active
+        self._nudge.set()
         self._hub.spare(FAST_STREAMS if self._sparing and not active else ())
         if self.connected:
             await self.streams.ask()
@@ -401,7 +403,9 @@ class MavsdkLink:
                 twin_told = True
                 _log.error("another component of the vehicle uses our MAVLink ids", ids=self.own_ids)
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(_TICK_S):
+                # each look at streams and connection is a wakeup: a daemon that waits has time
+                waits = self._sparing and not self.streams.active and self.connected
+                async with asyncio.timeout(_SPARING_TICK_S if waits else _TICK_S):
                     await self._nudge.wait()
 
     async def _discover(self) -> None:

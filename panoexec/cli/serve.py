@@ -17,6 +17,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+import panoexec.cli.lean  # noqa: F401  (first: see there)
 from panoexec.cli.planning_options import positive
 from panoexec.clock import SystemClock
 from panoexec.config import Config, load_config

@@ -30,7 +30,7 @@ _BACKOFF_S: Final = 1.0
 _BACKOFF_MOST_S: Final = 15.0
 _GIMBAL_SILENT_S: Final = 3.0
 _CAMERA_SILENT_S: Final = 15.0
-_LOOK_S: Final = 0.5
+_LOOK_S: Final = 1.0
 
 _log = structlog.get_logger(__name__)
 
@@ -71,6 +71,11 @@ class VehicleLink:
 
     def links(self) -> LinksFields:
         """How the links do."""
+        autopilot, gimbal, camera = (_fields(ok, age_s) for ok, age_s in self._standing())
+        return LinksFields(autopilot=autopilot, gimbal=gimbal, camera=camera)
+
+    def _standing(self) -> tuple[tuple[bool, float], tuple[bool, float], tuple[bool, float]]:
+        """Whether autopilot, gimbal and camera are there, and when each was last heard, seconds ago."""
         autopilot = math.inf if self._link is None else self._link.heartbeat_age_s
         gimbal = math.inf if self._gimbal is None else self._gimbal.age_s
         connected = self._link is not None and self._link.connected
@@ -78,10 +83,10 @@ class VehicleLink:
         has_camera = self._camera is not None and (
             isinstance(self._camera, SerialShutter) or (self._camera.found is not None and camera < _CAMERA_SILENT_S)
         )
-        return LinksFields(
-            autopilot=_fields(connected, autopilot),
-            gimbal=_fields(connected and gimbal < _GIMBAL_SILENT_S, gimbal),
-            camera=_fields(connected and has_camera, camera),
+        return (
+            (connected, autopilot),
+            (connected and gimbal < _GIMBAL_SILENT_S, gimbal),
+            (connected and has_camera, camera),
         )
 
     async def run(self) -> None:
@@ -176,8 +181,7 @@ class VehicleLink:
     def _look(self) -> None:
         """Prove life, and tell changes."""
         self.pulse_s = time.monotonic()
-        links = self.links()
-        oks = (links.autopilot.ok, links.gimbal.ok, links.camera.ok)
+        oks = tuple(ok for ok, _ in self._standing())
         if oks != self._oks:
             self._oks = oks
             _log.info("links", autopilot=oks[0], gimbal=oks[1], camera=oks[2])
