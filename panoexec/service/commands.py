@@ -207,7 +207,7 @@ class Commands:
         return data
 
     async def _command(self, request: PauseRequest | FinishRequest | SkipRequest | RepeatRequest) -> dict[str, Any]:
-        mission = self._missions.mission
+        mission = await self._missions.under_way()
         if mission is None:
             raise RefusedRequestError("refused", f"cannot {request.command}: no mission is under way")
         shot: dict[str, Any] = {}
@@ -259,7 +259,7 @@ class Commands:
         return {"mission_id": name} | _plan_data(plan)
 
     async def _resume(self) -> dict[str, Any]:
-        mission = self._missions.mission
+        mission = await self._missions.under_way()
         if mission is not None:
             mission.verbs.resume()
             return await self._done(mission)
@@ -270,13 +270,13 @@ class Commands:
             return {"mission_id": await self._missions.go_on(self._devices())}
 
     async def _abort(self, reason: str) -> dict[str, Any]:
-        mission = self._missions.mission
-        if mission is not None:
-            mission.verbs.abort(reason)
-            return await self._done(mission)
         if self._starting is not None:
             self._starting.cancel()
             return {"mission_id": None}
+        mission = await self._missions.under_way()
+        if mission is not None:
+            mission.verbs.abort(reason)
+            return await self._done(mission)
         if self._missions.busy:
             raise RefusedRequestError("busy", "the mission is just beginning: ask again")
         offer = self._missions.offer

@@ -7,7 +7,7 @@ import contextlib
 import shutil
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 import structlog
 
@@ -31,9 +31,11 @@ from panoexec.mission_session import (
 )
 from panoexec.mqtt.messages import RefusedRequestError
 from panoexec.planning.model import Plan
-from panoexec.states import MissionState
+from panoexec.states import ENDED, MissionState
 
 Reference = Literal["north", "heading"]
+
+_ENDING_S: Final = 30.0
 
 _log = structlog.get_logger(__name__)
 
@@ -91,19 +93,38 @@ class Missions:
         self._claimed = False
         self._idle = asyncio.Event()
         self._idle.set()
+        self._begun = asyncio.Event()
+        self._begun.set()
 
     @property
     def busy(self) -> bool:
         """Whether a mission flies, or is about to."""
         return self._claimed
 
+    async def under_way(self) -> Mission | None:
+        """The mission that flies; one that is just beginning is waited for, so that it can be commanded at once."""
+        await self._begun.wait()
+        return self.mission
+
+    def publish(self, event: Event) -> None:
+        """Take an event of the mission that flies (`EventSink`)."""
+        if event.state is not MissionState.IDLE:
+            self._begun.set()
+        self._sink.publish(event)
+
     @contextlib.asynccontextmanager
     async def claimed(self) -> AsyncIterator[None]:
         """Hold the only place for a mission; it is free again if the block fails.
 
+        A mission that is over, and whose files are still being written, is waited for.
+
         Raises:
             RefusedRequestError: a mission flies.
         """
+        if self.mission is not None and self.mission.record.state in ENDED:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_ENDING_S):
+                    await self._idle.wait()
         if self._claimed:
             name = self.record.mission_id if self.mission is not None and self.record is not None else "a mission"
             raise RefusedRequestError("busy", f"{name} is under way: abort it first, or wait for its end")
@@ -128,6 +149,7 @@ class Missions:
         except PanoexecError as error:
             raise RefusedRequestError("storage", str(error)) from error
         self.offer = None
+        self._begun.clear()
         self._next.put_nowait((stored, devices, reference))
         return stored.directory.mission_id
 
@@ -150,6 +172,7 @@ class Missions:
         except PanoexecError as error:
             raise RefusedRequestError("refused", str(error)) from error
         self.offer = None
+        self._begun.clear()
         self._next.put_nowait((stored, devices, "north"))
         return directory.mission_id
 
@@ -208,7 +231,7 @@ class Missions:
             stored,
             devices=devices,
             clock=self._clock,
-            sink=self._sink,
+            sink=self,
             vehicle={"id": section.id, "connection": section.connection or f"serial {section.serial}"},
             reference=reference,
         )
@@ -237,6 +260,7 @@ class Missions:
     def _free(self) -> None:
         self._claimed = False
         self._idle.set()
+        self._begun.set()
 
     def _check_space(self) -> None:
         storage = self._config().storage

@@ -107,13 +107,13 @@ async def ground_station(broker: Broker) -> AsyncIterator[Ground]:
 
 @asynccontextmanager
 async def serving(
-    folder: Path, broker: Broker, port: int, *, more: str = "", notify: Path | None = None
+    folder: Path, broker: Broker, port: int, *, more: str = "", mqtt: str = "", notify: Path | None = None
 ) -> AsyncIterator[asyncio.subprocess.Process]:
     """The daemon while the block runs; killed at its end if it still runs."""
     config = folder / "config.toml"
     config.write_text(
         f'[vehicle]\nconnection = "udpin://127.0.0.1:{port}"\n'
-        f'[mqtt]\nhost = "127.0.0.1"\nport = {broker.port}\n[storage]\npath = "{folder}/data"\nmin_free_mb = 1\n'
+        f'[mqtt]\nhost = "127.0.0.1"\nport = {broker.port}\n{mqtt}[storage]\npath = "{folder}/data"\nmin_free_mb = 1\n'
         f"[guards]\nallowed_modes = []\nbattery_floor_frac = 0\n{more}"
     )
     environment = {name: value for name, value in os.environ.items() if name != "NOTIFY_SOCKET"}
