@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from panoexec.events import Event
 from panoexec.journal import SqliteJournal
 from panoexec.mission.record import MissionRecord, Verdict
 from panoexec.mission_dir import mission_directories
@@ -84,12 +85,11 @@ async def _finished(arguments: list[str]) -> dict[str, Any]:
     return summary
 
 
-async def _record(storage: Path, plan: Plan) -> MissionRecord:
+async def _record(storage: Path, plan: Plan) -> tuple[MissionRecord, list[Event]]:
     (directory,) = mission_directories(storage)
     async with await SqliteJournal.open(directory.journal) as journal:
-        return MissionRecord.from_events(
-            mission_id=directory.mission_id, shots=plan.shots, events=await journal.events()
-        )
+        events = await journal.events()
+    return MissionRecord.from_events(mission_id=directory.mission_id, shots=plan.shots, events=events), events
 
 
 @pytest.mark.parametrize("seed", range(max(1, -(-KILLS // PER_MISSION))))
@@ -111,11 +111,11 @@ async def test_killed_missions_end_complete_with_at_most_one_photo_repeated_per_
         kills = 0
         for _ in range(min(PER_MISSION, KILLS)):
             kills += await _killed(arguments, rng)
-        record = await _record(storage, plan)
+        record, _ = await _record(storage, plan)
         if record.state is not MissionState.COMPLETE:
             summary = await _finished(arguments)
             assert summary["state"] == "complete"
-            record = await _record(storage, plan)
+        record, events = await _record(storage, plan)
     assert kills >= 1
     assert record.missing() == ()
     attempts = [attempt for shot in record.shots.values() for attempt in shot.attempts]
@@ -123,5 +123,11 @@ async def test_killed_missions_end_complete_with_at_most_one_photo_repeated_per_
     files = [photo.file for a in attempts for photo in a.photos if a.verdict is Verdict.ACCEPTED]
     assert len(set(files)) == SHOTS
     rejected = sum(bool(a.photos) and a.verdict is Verdict.REJECTED and a.code != "crash" for a in attempts)
+    # a photo whose pose was on disk is settled by what the camera remembers; one whose pose was not is filed
+    settled = sum(event.type == "shot_accepted" and event.state is MissionState.PREFLIGHT for event in events)
+    filed = sum(a.code == "crash" and bool(a.photos) for a in attempts)
     taken = int(simulator.summary["photos"])
+    print(json.dumps({"kills": kills, "photos": taken, "rejected": rejected, "settled": settled, "filed": filed}))
     assert SHOTS <= taken <= SHOTS + rejected + kills
+    # the camera remembers every photo, so none is unaccounted for
+    assert taken == SHOTS + rejected + filed
