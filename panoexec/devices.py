@@ -257,6 +257,15 @@ class VehicleStatus:
     boot_count: int = 0
 
 
+class Severity(IntEnum):
+    """How urgent a word to the pilot is (MAV_SEVERITY)."""
+
+    ERROR = 3
+    WARNING = 4
+    NOTICE = 5
+    INFO = 6
+
+
 class Vehicle(Protocol):
     """The airframe that carries gimbal and camera."""
 
@@ -265,6 +274,6 @@ class Vehicle(Protocol):
         """The newest known status; costs nothing to read."""
         ...
 
-    async def say(self, text: str) -> None:
+    async def say(self, text: str, severity: Severity = Severity.NOTICE) -> None:
         """Tell the pilot's ground station (STATUSTEXT, at most 50 characters a line); never raises."""
         ...

@@ -16,12 +16,13 @@ from typing import Any, Literal, Self
 from panoexec import __version__
 from panoexec.clock import Clock
 from panoexec.codec import decode, encode
-from panoexec.devices import Camera, Gimbal, Vehicle
+from panoexec.devices import Camera, Gimbal, Severity, Vehicle
 from panoexec.errors import MissionError, UsageError
 from panoexec.events import Event, EventSink
 from panoexec.journal import JournalFileError, SqliteJournal
 from panoexec.manifest import ManifestWriter
 from panoexec.mission.executor import Mission
+from panoexec.mission.pilot import PilotVoice, Saying
 from panoexec.mission.record import MissionRecord
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.verifier import ThreadedVerifier
@@ -154,10 +155,11 @@ class MissionSession:
         mission: the executor; its verbs may be used while `run` is under way.
     """
 
-    def __init__(self, *, stored: StoredMission, mission: Mission, manifest: ManifestWriter) -> None:
+    def __init__(self, *, stored: StoredMission, mission: Mission, manifest: ManifestWriter, voice: PilotVoice) -> None:
         self.stored = stored
         self.mission = mission
         self._manifest = manifest
+        self._voice = voice
 
     @classmethod
     @asynccontextmanager
@@ -183,7 +185,7 @@ class MissionSession:
             reference: for a new mission, what yaw 0 means.
             settings: instead of the stored ones.
         """
-        manifest: list[ManifestWriter] = []
+        sinks: list[EventSink] = []
         try:
             mission = Mission(
                 mission_id=stored.directory.mission_id,
@@ -194,7 +196,7 @@ class MissionSession:
                 vehicle=devices.vehicle,
                 clock=clock,
                 journal=stored.journal,
-                sink=_Sinks(_Late(manifest), sink),
+                sink=_Sinks(_Late(sinks), sink),
                 verifier=ThreadedVerifier(plan=stored.plan),
                 reference=reference,
                 past=stored.events,
@@ -207,8 +209,9 @@ class MissionSession:
                 clock=clock,
                 certificate=lambda: mission.certificate,
             )
-            manifest.append(writer)
-            yield cls(stored=stored, mission=mission, manifest=writer)
+            voice = PilotVoice(vehicle=devices.vehicle, record=mission.record)
+            sinks += [writer, voice]
+            yield cls(stored=stored, mission=mission, manifest=writer, voice=voice)
         finally:
             await stored.journal.close()
 
@@ -221,25 +224,33 @@ class MissionSession:
         """
         try:
             async with asyncio.TaskGroup() as group:
-                writing = group.create_task(self._manifest.run(), name="manifest")
+                beside = [
+                    group.create_task(self._manifest.run(), name="manifest"),
+                    group.create_task(self._voice.run(), name="words to the pilot"),
+                ]
                 record = await self.mission.run()
-                writing.cancel()
+                for task in beside:
+                    task.cancel()
         except BaseException as failure:
+            if not isinstance(failure, asyncio.CancelledError):
+                self._voice.tell(Saying("stopped by an error, gimbal is free", Severity.ERROR))
+            await self._voice.farewell()
             with suppress(UsageError):  # what went wrong first is what counts
                 await self._manifest.write()
             if isinstance(failure, BaseExceptionGroup):
                 raise first_failure(failure) from None
             raise
+        await self._voice.farewell()
         await self._manifest.write()
         return record
 
 
 class _Late:
-    """A sink that is there before the manifest's writer is."""
+    """A sink that is there before those are that read the mission's record."""
 
-    def __init__(self, target: list[ManifestWriter]) -> None:
-        self._target = target
+    def __init__(self, targets: list[EventSink]) -> None:
+        self._targets = targets
 
     def publish(self, event: Event) -> None:
-        for writer in self._target:
-            writer.publish(event)
+        for sink in self._targets:
+            sink.publish(event)

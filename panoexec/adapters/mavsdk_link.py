@@ -30,6 +30,7 @@ from panoexec.adapters.vendor import MAV_RESULTS, device_error, quiet_vendor_log
 from panoexec.adapters.vendor_session import VendorSession
 from panoexec.adapters.worker_calls import WorkerCalls
 from panoexec.clock import Clock
+from panoexec.devices import Severity
 from panoexec.errors import DeviceError, LinkError
 
 T = TypeVar("T")
@@ -40,7 +41,6 @@ DEFAULT_COMPONENT: Final = 191
 
 REQUEST_MESSAGE: Final = 512
 FAST_STREAMS: Final = ("GIMBAL_DEVICE_ATTITUDE_STATUS", "ATTITUDE")
-_SEVERITY_NOTICE: Final = 5
 _PARAMETER_TRIES: Final = 3
 _PARAMETER_PAUSE_S: Final = 0.2
 _TICK_S: Final = 0.25
@@ -349,10 +349,10 @@ class MavsdkLink:
         if self.connected:
             await self.streams.ask()
 
-    async def say(self, text: str) -> None:
+    async def say(self, text: str, severity: Severity = Severity.NOTICE) -> None:
         """Tell the pilot's ground station (STATUSTEXT, 253), in lines of 50 characters; never raises."""
         for line in textwrap.wrap(text.encode("ascii", "replace").decode(), 50):
-            fields = {"severity": _SEVERITY_NOTICE, "text": line, "id": 0, "chunk_seq": 0}
+            fields = {"severity": int(severity), "text": line, "id": 0, "chunk_seq": 0}
             message = MavlinkMessage("STATUSTEXT", fields_json=json.dumps(fields))
             try:
                 send = self.plugin(MavlinkDirect).send_message

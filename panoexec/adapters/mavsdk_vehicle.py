@@ -14,7 +14,7 @@ from mavsdk.plugins.telemetry import FlightMode, Telemetry
 from panoexec.adapters.mavsdk_link import MavsdkLink
 from panoexec.adapters.message_hub import MavMessage
 from panoexec.adapters.stream_keeper import AUTOPILOT
-from panoexec.devices import VehicleStatus
+from panoexec.devices import Severity, VehicleStatus
 
 _SAFETY_ARMED: Final = 128
 _GPS: Final = 0x20
@@ -67,9 +67,9 @@ class MavsdkVehicle:
             boot_count=self._link.boot_count,
         )
 
-    async def say(self, text: str) -> None:
+    async def say(self, text: str, severity: Severity = Severity.NOTICE) -> None:
         """See `Vehicle.say`."""
-        await self._link.say(text)
+        await self._link.say(text, severity)
 
     async def __aenter__(self) -> Self:
         """Start to listen."""

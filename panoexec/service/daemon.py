@@ -25,7 +25,7 @@ from panoexec.planfile import plan_to_data
 from panoexec.planning.model import Plan
 from panoexec.sdnotify import SystemdNotifier
 from panoexec.service.commands import Commands
-from panoexec.service.missions import Missions, one_line
+from panoexec.service.missions import Missions
 from panoexec.service.vehicle_link import VehicleLink
 from panoexec.states import MissionState
 
@@ -36,7 +36,6 @@ _IDLE_BEAT_S: Final = 15.0
 _STUCK_S: Final = 45.0
 _STOP_S: Final = 60.0
 _FAREWELL_S: Final = 5.0
-_SAYINGS: Final = 20
 _RELOADABLE: Final = ("gimbal", "camera", "pointing", "guards", "mission", "log")
 
 _log = structlog.get_logger(__name__)
@@ -82,7 +81,6 @@ class Daemon:
         self._changed = asyncio.Event()
         self._seq = 0
         self._beat_s = time.monotonic()
-        self._sayings: asyncio.Queue[str] = asyncio.Queue(maxsize=_SAYINGS)
         self._published_plan: Plan | None = None
         self.vehicle = VehicleLink(config, clock=clock, changed=self._changed.set)
         self.missions = Missions(config=lambda: self.config, clock=clock, sink=self, changed=self._mission_changed)
@@ -150,7 +148,6 @@ class Daemon:
         group.create_task(self.vehicle.run(), name="vehicle link")
         group.create_task(self.missions.run(), name="missions")
         group.create_task(self._publish(), name="state")
-        group.create_task(self._say(), name="statustext")
         if self._notifier.watchdog_s is not None:
             group.create_task(self._feed_watchdog(self._notifier.watchdog_s), name="watchdog")
         if died_in_it and self.config.mission.resume == "auto":
@@ -197,9 +194,6 @@ class Daemon:
         _log.info(event.type, seq=event.seq, mission_id=event.mission_id, state=event.state.value, **where)
         if self.mqtt is not None:
             self.mqtt.publish(self.mqtt.topics.event, dump_json(event.to_json()))
-        text = one_line(event, self.missions.record)
-        if text is not None and not self._sayings.full():
-            self._sayings.put_nowait(text)
         self._changed.set()
 
     async def _go_on(self) -> None:
@@ -216,13 +210,6 @@ class Daemon:
                     _log.warning("the interrupted mission does not go on", error=error.message)
                 return
             await asyncio.sleep(0.5)
-
-    async def _say(self) -> None:
-        while True:
-            text = await self._sayings.get()
-            devices = self.vehicle.devices
-            if devices is not None:
-                await devices.vehicle.say(text)
 
     # --- requests
 

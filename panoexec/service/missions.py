@@ -14,7 +14,7 @@ import structlog
 from panoexec.clock import Clock
 from panoexec.config import Config
 from panoexec.errors import PanoexecError
-from panoexec.events import Event, EventSink
+from panoexec.events import EventSink
 from panoexec.leavings import write_leavings
 from panoexec.mission.control import CommandRefusedError
 from panoexec.mission.executor import Mission
@@ -271,20 +271,3 @@ class Missions:
                 "storage",
                 f"{storage.path} has {free_mb:.0f} MB left: [storage] min_free_mb asks for {storage.min_free_mb:g}",
             )
-
-
-def one_line(event: Event, record: MissionRecord | None) -> str | None:
-    """What the pilot's ground station is told of an event; None for nothing."""
-    done = "" if record is None else f" {record.shots_done}/{record.shots_total}"
-    match event.type:
-        case "mission_started":
-            return f"panoexec: panorama begins,{done} shots"
-        case "mission_paused":
-            return f"panoexec: paused{done}: {getattr(event, 'reason', '')}"
-        case "mission_resumed":
-            return f"panoexec: goes on{done}"
-        case "preflight_failed":
-            return f"panoexec: not started: {'; '.join(getattr(event, 'problems', ()))}"
-        case "mission_finished":
-            return f"panoexec: {event.state.value}{done}: {getattr(event, 'reason', '')}"
-    return None

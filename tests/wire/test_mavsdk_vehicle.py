@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 
 import pytest
 
+from panoexec import events as ev
 from panoexec.adapters.mavsdk_link import MavsdkLink
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.devices import Vehicle
+from panoexec.mission.pilot import PilotVoice
+from panoexec.mission.record import MissionRecord
+from panoexec.planning.model import Shot
 from panoexec.sim.dialect import mavlink
+from panoexec.states import MissionState
 from tests.wire.scripted_peer import ScriptedPeer, eventually
 
 GPS = 0x20
@@ -101,7 +107,34 @@ async def test_a_reboot_takes_the_position_away_until_it_is_told_again(
 
 
 async def test_the_pilot_is_told(autopilot: ScriptedPeer, link: MavsdkLink) -> None:
+    """Start, guard, resumption, abort and end of missions, as a ground station reads them."""
+    record = MissionRecord(mission_id="m", shots=[Shot(index=i, row=0, pitch_deg=0.0, yaw_deg=0.0) for i in range(18)])
+    happened: list[ev.Event] = [
+        ev.MissionStarted(shots_total=18),
+        ev.PreflightPassed(),
+        ev.ShotStarted(shot=0, attempt=1, round=0, pitch_deg=0.0, yaw_deg=0.0, patience_s=1.0),
+        ev.MissionPaused(code="position", reason="3.1 m away from where the mission began", automatic=True),
+        ev.MissionResumed(paused_s=4.0),
+        ev.MissionPaused(code="command", reason="coffee"),
+        ev.MissionFinished(reason="enough", accepted=0, missing=(0,), state=MissionState.ABORTED),
+    ]
+
+    def told() -> list[tuple[int, str]]:
+        return [(m.severity, m.text) for m in autopilot.others if m.get_type() == "STATUSTEXT"]
+
     async with MavsdkVehicle(link) as vehicle:
-        await vehicle.say("panoexec: started")
-    await autopilot.until(lambda: autopilot.others)
-    assert [m.text for m in autopilot.others if m.get_type() == "STATUSTEXT"] == ["panoexec: started"]
+        voice = PilotVoice(vehicle=vehicle, record=record)
+        speaking = asyncio.create_task(voice.run(), name="words to the pilot")
+        for event in happened:
+            voice.publish(event)
+        await autopilot.until(lambda: len(told()) == 6, 20)
+        speaking.cancel()
+        await asyncio.wait({speaking})
+    assert told() == [
+        (6, "Pano: 18 shots, checking"),
+        (5, "Pano: shooting, hold position"),
+        (4, "Pano: paused: drifted off, waiting to be back"),
+        (5, "Pano: goes on at 0/18"),
+        (5, "Pano: paused: by command"),
+        (4, "Pano: aborted at 0/18, gimbal is free"),
+    ]

@@ -18,6 +18,7 @@ from panoexec.devices import (
     Quaternion,
     Recollection,
     RememberedPhoto,
+    Severity,
     VehicleAttitude,
     VehicleStatus,
     YawFrame,
@@ -352,10 +353,13 @@ class FakeVehicle:
             position_ok=True,
         )
     )
-    said: list[str] = field(default_factory=list)
+    said: list[tuple[Severity, str]] = field(default_factory=list)
+    deaf: bool = False
 
-    async def say(self, text: str) -> None:
-        self.said.append(text)
+    async def say(self, text: str, severity: Severity = Severity.NOTICE) -> None:
+        if self.deaf:
+            await asyncio.Event().wait()
+        self.said.append((severity, text))
 
     def change(self, **changes: object) -> None:
         self.status = replace(self.status, **changes)  # type: ignore[arg-type]
