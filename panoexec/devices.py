@@ -213,8 +213,10 @@ class Gimbal(Protocol):
         """
         ...
 
-    async def point(self, pitch_deg: float, yaw_deg: float) -> None:
+    async def point(self, pitch_deg: float, yaw_deg: float | None) -> None:
         """Command an earth-fixed pose (yaw from true north) with roll 0; returns when accepted.
+
+        Without a yaw the camera looks along the vehicle's nose and follows it.
 
         Raises:
             DeviceError: refused or not answered.
@@ -272,6 +274,22 @@ class Vehicle(Protocol):
     @property
     def status(self) -> VehicleStatus:
         """The newest known status; costs nothing to read."""
+        ...
+
+    @property
+    def turn_modes(self) -> tuple[str, ...]:
+        """Flight modes, as `status` names them, in which it obeys `turn`; empty if there are none."""
+        ...
+
+    async def turn(self, heading_deg: float, rate_deg_s: float) -> None:
+        """Turn the nose on the spot to a true heading, the short way, and keep it there; returns when accepted.
+
+        Accepted is not arrived, and in a mode that is none of `turn_modes` an autopilot may accept it and do nothing.
+
+        Raises:
+            DeviceError: refused or not answered.
+            LinkError: no link.
+        """
         ...
 
     async def say(self, text: str, severity: Severity = Severity.NOTICE) -> None:

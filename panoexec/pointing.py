@@ -50,11 +50,14 @@ class SettleLimits:
         settle_s: how long every sample must have been inside tolerance.
         max_rate_deg_s: largest angular speed.
         max_gap_s: longest silence between samples that still proves something.
+        told_rates: whether to believe the angular speed that the device tells; else it is taken from the samples, where
+            a camera turns with an airframe whose gyroscopes shake with its motors.
     """
 
     settle_s: float
     max_rate_deg_s: float
     max_gap_s: float
+    told_rates: bool = True
 
 
 class SettleTracker:
@@ -135,7 +138,7 @@ class SettleTracker:
         return ""
 
     def _rate_deg_s(self, reading: Reading) -> float:
-        if not math.isnan(reading.rate_deg_s):
+        if self._limits.told_rates and not math.isnan(reading.rate_deg_s):
             return reading.rate_deg_s
         oldest = self._inside[0] if self._inside else None
         if oldest is None or oldest.rotation is None or reading.rotation is None:

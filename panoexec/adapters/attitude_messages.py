@@ -13,6 +13,8 @@ YAW_LOCK: Final = 16
 YAW_IN_VEHICLE_FRAME: Final = 32
 YAW_IN_EARTH_FRAME: Final = 64
 """GIMBAL_DEVICE_FLAGS."""
+HAS_YAW_AXIS: Final = 256
+"""GIMBAL_MANAGER_CAP_FLAGS."""
 
 _NAN: Final = math.nan
 _UNKNOWN: Final[Quaternion] = (_NAN, _NAN, _NAN, _NAN)
@@ -135,7 +137,13 @@ def manager_limits(fields: Mapping[str, Any]) -> GimbalLimits | None:
         round(math.degrees(number(fields[key])), 3)
         for key in ("pitch_min", "pitch_max", "yaw_min", "yaw_max")
     )
-    if not (math.isfinite(low + high + left + right) and low < high and left < right):
+    # all zero and NaN are what a manager states that does not know; a gimbal without a pan axis says that it has none
+    told = int(fields.get("cap_flags") or 0)
+    if told and not told & HAS_YAW_AXIS and not left < right:
+        left = right = 0.0
+    elif not left < right:
+        return None
+    if not (math.isfinite(low + high + left + right) and low < high):
         return None
     return GimbalLimits(
         pitch_min_deg=low,

@@ -219,9 +219,9 @@ class MavsdkGimbal:
                 f"taking control of the gimbal: accepted, but its manager names {holder} after {_TAKE_S:g} s"
             ) from error
 
-    async def point(self, pitch_deg: float, yaw_deg: float) -> None:
+    async def point(self, pitch_deg: float, yaw_deg: float | None) -> None:
         """See `Gimbal.point`."""
-        if not (math.isfinite(pitch_deg) and math.isfinite(yaw_deg)):
+        if not (math.isfinite(pitch_deg) and (yaw_deg is None or math.isfinite(yaw_deg))):
             raise ValueError(f"cannot point at pitch {pitch_deg}, yaw {yaw_deg}")
         gimbal = await self.discover()
         set_angles = partial(
@@ -229,11 +229,12 @@ class MavsdkGimbal:
             gimbal.gimbal_id,
             0.0,
             pitch_deg,
-            (yaw_deg + 180.0) % 360.0 - 180.0,
-            GimbalMode.YAW_LOCK,
+            0.0 if yaw_deg is None else (yaw_deg + 180.0) % 360.0 - 180.0,
+            GimbalMode.YAW_FOLLOW if yaw_deg is None else GimbalMode.YAW_LOCK,
             SendMode.ONCE,
         )
-        await self._link.vendor_call(f"pointing the gimbal at pitch {pitch_deg:.1f}° yaw {yaw_deg:.1f}°", set_angles)
+        where = "along the nose" if yaw_deg is None else f"yaw {yaw_deg:.1f}°"
+        await self._link.vendor_call(f"pointing the gimbal at pitch {pitch_deg:.1f}° {where}", set_angles)
 
     async def release(self) -> None:
         """See `Gimbal.release`. Also lets the attitude come at the slow rate."""

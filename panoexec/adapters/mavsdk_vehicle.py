@@ -9,13 +9,17 @@ from functools import partial
 from types import TracebackType
 from typing import Final, Self
 
+from mavsdk.plugins.action import Action
 from mavsdk.plugins.telemetry import FlightMode, Telemetry
 
 from panoexec.adapters.mavsdk_link import MavsdkLink
 from panoexec.adapters.message_hub import MavMessage
 from panoexec.adapters.stream_keeper import AUTOPILOT
+from panoexec.adapters.vendor import MAV_RESULTS
 from panoexec.devices import Severity, VehicleStatus
+from panoexec.errors import DeviceError
 
+CONDITION_YAW: Final = 115
 _SAFETY_ARMED: Final = 128
 _GPS: Final = 0x20
 _POSITION_ABSOLUTE: Final = 16
@@ -45,6 +49,7 @@ class MavsdkVehicle:
         self._position_s = -math.inf
         self._gps_ok = False
         self._estimator_ok: bool | None = None
+        self._place: tuple[float, float, float] | None = None
 
     @property
     def status(self) -> VehicleStatus:
@@ -65,6 +70,34 @@ class MavsdkVehicle:
             battery_frac=self._battery_frac,
             position_ok=trusted and fresh,
             boot_count=self._link.boot_count,
+        )
+
+    @property
+    def turn_modes(self) -> tuple[str, ...]:
+        """See `Vehicle.turn_modes`: ArduPilot's GUIDED (MAVSDK calls it OFFBOARD), PX4's Hold."""
+        return ("OFFBOARD",) if self._link.is_ardupilot else ("HOLD",)
+
+    async def turn(self, heading_deg: float, rate_deg_s: float) -> None:
+        """See `Vehicle.turn`.
+
+        ArduPilot: MAV_CMD_CONDITION_YAW (115), which it accepts in every mode and obeys in GUIDED. PX4 has no such
+        command: there it is a reposition to the place where it holds (192), at a speed of its own.
+        """
+        if self._link.is_ardupilot:
+            result = await self._link.command(CONDITION_YAW, [heading_deg % 360.0, rate_deg_s])
+            if result != 0:
+                raise DeviceError(f"turning the vehicle to {heading_deg:.1f}°: {MAV_RESULTS.get(result, result)}")
+            return
+        if self._place is None:
+            status = self.status
+            self._place = (status.latitude_deg, status.longitude_deg, status.altitude_m)
+        place = self._place
+        if not all(math.isfinite(value) for value in place):
+            self._place = None
+            raise DeviceError(f"turning the vehicle to {heading_deg:.1f}°: its position is unknown")
+        action = self._link.plugin(Action)
+        await self._link.vendor_call(
+            f"turning the vehicle to {heading_deg:.1f}°", lambda: action.goto_location(*place, heading_deg)
         )
 
     async def say(self, text: str, severity: Severity = Severity.NOTICE) -> None:
@@ -134,6 +167,8 @@ class MavsdkVehicle:
             self._estimator_ok = bool(flags & _POSITION_ABSOLUTE) and not flags & _CONSTANT_POSITION
 
     def _flight_mode(self, mode: FlightMode, _user_data: object) -> None:
+        if mode.name != self._mode:
+            self._place = None  # somebody flew it, and may have flown it elsewhere
         self._mode = mode.name
 
     # --- on the loop

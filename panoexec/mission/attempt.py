@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from panoexec.clock import Clock
 from panoexec.devices import Camera, EvidenceLevel, Gimbal, PendingCapture
@@ -13,11 +14,14 @@ from panoexec.errors import DeviceError
 from panoexec.mission.preflight import gimbal_limits
 from panoexec.mission.protocols import PhotoMemory
 from panoexec.mission.settings import MissionSettings
+from panoexec.mission.turning import Turner
 from panoexec.mission.waiting import until, within
 from panoexec.planning.duration import slew_time_s
 from panoexec.planning.model import Shot
 from panoexec.pointing import SettleLimits, SettleTracker, Target, WindowVerdict, judge_window
 from panoexec.pose_reading import PoseReader, pose_of, read_pose, to_north
+
+T = TypeVar("T")
 
 TRIGGER_BOUND_S = 10.0
 """An adapter answers or gives up long before this."""
@@ -76,6 +80,7 @@ class Shooter:
     Attributes:
         reference_yaw_north_deg: direction of the plan's yaw 0 from true north.
         open_loop: there is no attitude feedback; believe the gimbal after the slew time.
+        turner: turns the vehicle where the gimbal does not pan far enough; None: it is never turned.
     """
 
     gimbal: Gimbal
@@ -84,6 +89,7 @@ class Shooter:
     settings: MissionSettings
     reference_yaw_north_deg: float
     open_loop: bool
+    turner: Turner | None = None
     poses: PoseReader = field(init=False)
     _ready_s: float = field(default=-math.inf, init=False)
     _pointed: tuple[float, float] | None = field(default=None, init=False)
@@ -93,7 +99,12 @@ class Shooter:
         self.poses = PoseReader(feed=self.gimbal.feed, reference_yaw_north_deg=self.reference_yaw_north_deg)
 
     async def approach(
-        self, shot: Shot, *, patience_s: float, clear: Callable[[], asyncio.Event | None]
+        self,
+        shot: Shot,
+        *,
+        patience_s: float,
+        clear: Callable[[], asyncio.Event | None],
+        coming_yaw_deg: Sequence[float] = (),
     ) -> Settled | NotSettled:
         """Point at a shot and return when the trigger may go out, or when patience is over.
 
@@ -103,12 +114,17 @@ class Shooter:
             shot: where, in the plan's frame.
             patience_s: how long settling may take beyond the expected slew and the settle time.
             clear: None when nothing else keeps the trigger, else an event to wait for before asking again.
+            coming_yaw_deg: yaws of the shots after this one.
         """
         expected_s = self._expected_slew_s(shot)
         commanded_s = self.clock.monotonic()
-        refused = await self._point(shot)
-        if refused:
-            return NotSettled(code="gimbal", reason=refused)
+        asked = "vehicle"
+        try:
+            expected_s = max(expected_s, await self._turn([shot.yaw_deg, *coming_yaw_deg]))
+            asked = "gimbal"
+            await self._point(shot)
+        except DeviceError as error:
+            return NotSettled(code=asked, reason=str(error))
         if self.open_loop:
             await self.clock.sleep(1.5 * expected_s + self.settings.settle_s)
             while (blocker := clear()) is not None:
@@ -119,6 +135,7 @@ class Shooter:
             settle_s=self.settings.settle_s,
             max_rate_deg_s=self.settings.max_rate_deg_s,
             max_gap_s=self.settings.max_gap_s,
+            told_rates=not self._nose_pans,
         )
         tracker = SettleTracker(target=self._target(shot), limits=limits)
         bound_s = expected_s + self.settings.settle_s + patience_s
@@ -193,19 +210,33 @@ class Shooter:
         readings = self.poses.since(start_s - 2 * gap)
         return judge_window(readings, target=self._target(shot), start_s=start_s, end_s=end_s, max_gap_s=gap)
 
-    async def _point(self, shot: Shot) -> str:
-        yaw_north = to_north(shot.yaw_deg, self.reference_yaw_north_deg)
-        for remaining in reversed(range(self.settings.device_tries)):
+    @property
+    def _nose_pans(self) -> bool:
+        """Whether the camera looks where the vehicle's nose does."""
+        return self.turner is not None and not gimbal_limits(self.gimbal, self.settings).pans
+
+    async def _turn(self, yaws_deg: Sequence[float]) -> float:
+        """Have the vehicle turned, where it pans; the seconds that this is expected to take."""
+        turner = self.turner
+        if turner is None:
+            return 0.0
+        yaws = [to_north(yaw, self.reference_yaw_north_deg) for yaw in yaws_deg]
+        limits = gimbal_limits(self.gimbal, self.settings)
+        return await self._insist(lambda: turner.begin(yaws, limits))
+
+    async def _insist(self, command: Callable[[], Awaitable[T]]) -> T:
+        """The result of a command that a device may refuse for the moment."""
+        for _ in range(1, self.settings.device_tries):
             try:
-                await self.gimbal.point(shot.pitch_deg, yaw_north)
-            except DeviceError as error:
-                if not remaining:
-                    return str(error)
+                return await command()
+            except DeviceError:
                 await self.clock.sleep(0.2)
-            else:
-                self._pointed = (shot.pitch_deg, shot.yaw_deg)
-                return ""
-        return ""
+        return await command()
+
+    async def _point(self, shot: Shot) -> None:
+        yaw_north = None if self._nose_pans else to_north(shot.yaw_deg, self.reference_yaw_north_deg)
+        await self._insist(lambda: self.gimbal.point(shot.pitch_deg, yaw_north))
+        self._pointed = (shot.pitch_deg, shot.yaw_deg)
 
     def _expected_slew_s(self, shot: Shot) -> float:
         limits = gimbal_limits(self.gimbal, self.settings)
@@ -233,6 +264,7 @@ class Shooter:
         feed, tracker = self.gimbal.feed, wait.tracker
         newest = free_s = wait.commanded_s
         fresh = False
+        nose = self.turner if self._nose_pans else None
         while True:
             await asyncio.sleep(0)  # a machine that cannot keep up with the samples must still hear everybody else
             readings = self.poses.since(newest)
@@ -243,7 +275,11 @@ class Shooter:
             for reading in readings:
                 newest = reading.time_s
                 tracker.add(reading)
+                if nose is not None and tracker.error is not None:
+                    nose.note(reading.time_s, float(tracker.error.yaw_deg))
             now_s = self.clock.monotonic()
+            if nose is not None and math.isnan(tracker.inside_since_s) and nose.is_off(now_s):
+                await nose.correct()
             settling_s = tracker.settled_at_s - now_s
             if 0 < settling_s < LAST_SLEEP_S:  # the trigger does not wait for one more sample
                 await self.clock.sleep(settling_s)

@@ -26,6 +26,7 @@ from panoexec.mission.recovery import settle_open_attempts
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.shooting import Shooting
 from panoexec.mission.shot_queue import ShotQueue
+from panoexec.mission.turning import Turner
 from panoexec.mission.verbs import Verbs
 from panoexec.mission.waiting import first_failure, unbroken, until
 from panoexec.planning.model import Certificate, Plan
@@ -93,6 +94,7 @@ class Mission:
             control=Control(),
             queue=ShotQueue(todo, attempts=settings.attempts, rounds=settings.rounds),
             pace=Pace(expected_shot_s=_expected_shot_s(plan, settings)),
+            turner=_turner(vehicle, clock, settings),
         )
         self._resumed = bool(past)
         self._reference = reference
@@ -126,6 +128,11 @@ class Mission:
     def shooting_s(self) -> float:
         """Seconds from the first slew of this process to the last verdict, pauses included; NaN before the end."""
         return math.nan if self._shooting is None else self._shooting.ended_s - self._shooting.began_s
+
+    @property
+    def turns(self) -> int:
+        """How often this process has had the vehicle turned."""
+        return 0 if self._flight.turner is None else self._flight.turner.turns
 
     @property
     def shooter(self) -> Shooter | None:
@@ -252,6 +259,13 @@ class Mission:
             reference_yaw_north_deg=reference,
             now_s=flight.clock.monotonic(),
         )
+
+
+def _turner(vehicle: Vehicle, clock: Clock, settings: MissionSettings) -> Turner | None:
+    turning = settings.gimbal.turning
+    if turning is None:
+        return None
+    return Turner(vehicle=vehicle, clock=clock, turning=turning, tolerance_yaw_deg=settings.tolerance.yaw_deg)
 
 
 def _expected_shot_s(plan: Plan, settings: MissionSettings) -> float:

@@ -13,6 +13,7 @@ from panoexec.mission.record import MissionRecord, ShotStatus
 from panoexec.mission.recorder import Recorder
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.shot_queue import ShotQueue
+from panoexec.mission.turning import Turner
 from panoexec.planning.model import Plan
 
 
@@ -31,6 +32,7 @@ class Flight:
     control: Control
     queue: ShotQueue
     pace: Pace
+    turner: Turner | None = None
 
     @property
     def record(self) -> MissionRecord:

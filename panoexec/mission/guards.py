@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from panoexec.devices import VehicleStatus
+from panoexec.mission.preflight import cannot_turn
 from panoexec.mission.settings import GuardSettings, MissionSettings
 
 EARTH_RADIUS_M = 6_371_000.0
@@ -30,6 +31,7 @@ class Situation:
         origin: latitude, longitude, altitude where the mission began; NaN where unknown.
         storage_free_images: how many more photos fit.
         holding: codes of the findings that hold the mission now.
+        turn_modes: flight modes in which the vehicle can be turned; None while it need not be.
     """
 
     now_s: float
@@ -40,6 +42,7 @@ class Situation:
     origin: tuple[float, float, float]
     storage_free_images: float
     holding: frozenset[str] = frozenset()
+    turn_modes: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,6 +128,20 @@ class ModeGuard:
 
 
 @dataclass(frozen=True, slots=True)
+class TurnGuard:
+    """The vehicle must be turned for the shots to come, and its flight mode does not let it."""
+
+    def check(self, situation: Situation) -> Finding | None:
+        """See `Guard.check`."""
+        mode, modes = situation.vehicle.mode, situation.turn_modes
+        if modes is None or not mode or mode in modes or not situation.vehicle.connected:
+            return None
+        return Finding(
+            code="turning", reason=f"the vehicle pans the camera: {cannot_turn(mode, modes)}", automatic=True
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class LandedGuard:
     """The vehicle is on the ground."""
 
@@ -192,6 +209,8 @@ def flight_guards(settings: MissionSettings) -> tuple[Guard, ...]:
         guards.append(AttitudeGuard(guard.attitude_silence_s))
     if guard.allowed_modes:
         guards.append(ModeGuard(guard.allowed_modes))
+    if settings.gimbal.turning is not None:
+        guards.append(TurnGuard())
     if guard.position_hold:
         guards.append(LandedGuard())
     if guard.battery_floor_frac > 0:

@@ -57,6 +57,7 @@ class Holding:
             origin=flight.record.origin,
             storage_free_images=flight.camera.storage_free_images,
             holding=frozenset(flight.control.holds),
+            turn_modes=None if flight.turner is None else flight.turner.modes,
         )
         found = {f.code: f for guard in self._guards if (f := guard.check(situation)) is not None}
         for finding in found.values():

@@ -10,7 +10,11 @@ from panoexec.angles import wrap_180
 from panoexec.devices import AttitudeSample, Camera, Gimbal, Vehicle
 from panoexec.mission.settings import MissionSettings
 from panoexec.planning.model import GimbalLimits, Shot
+from panoexec.planning.turns import PanReach
 from panoexec.pose_reading import GIMBAL_FAILURES
+
+PILOTS_NAMES = {"OFFBOARD": "OFFBOARD (ArduPilot: GUIDED)", "HOLD": "HOLD (PX4: Hold)"}
+"""Flight modes as pilots know them, by MAVSDK's names."""
 
 
 def limit_problems(shots: Iterable[Shot], limits: GimbalLimits, *, margin_deg: float = 1e-6) -> list[str]:
@@ -25,13 +29,15 @@ def limit_problems(shots: Iterable[Shot], limits: GimbalLimits, *, margin_deg: f
             ("pitch", shot.pitch_deg, limits.pitch_min_deg, limits.pitch_max_deg),
             ("yaw", shot.yaw_deg, limits.yaw_min_deg, limits.yaw_max_deg),
         ):
-            if axis == "yaw" and (limits.yaw_endless or high - low >= 360.0):
+            if axis == "yaw" and (limits.all_round or high - low >= 360.0):
                 continue
             beyond = max(low - value, value - high)
             if beyond <= margin_deg:
                 continue
             worst, _, count = out.get(axis, (0.0, "", 0))
             text = f"shot {shot.index} at {axis} {value:.2f}° is outside the gimbal's {low:g}° to {high:g}°"
+            if axis == "yaw":
+                text += ' of the nose (gimbal.yaw = "auto" lets the vehicle turn)'
             out[axis] = (beyond, text, count + 1) if beyond > worst else (worst, out[axis][1], count + 1)
     return [text + (f" (and {count - 1} more)" if count > 1 else "") for _, text, count in out.values()]
 
@@ -41,10 +47,11 @@ def gimbal_limits(gimbal: Gimbal, settings: MissionSettings) -> GimbalLimits:
     own, configured = gimbal.limits, settings.gimbal
     if own is None:
         return configured
+    pitch = replace(configured, pitch_min_deg=own.pitch_min_deg, pitch_max_deg=own.pitch_max_deg)
+    if configured.turning is not None and not configured.pans:  # a pan axis is not used where the vehicle is to pan
+        return pitch
     return replace(
-        configured,
-        pitch_min_deg=own.pitch_min_deg,
-        pitch_max_deg=own.pitch_max_deg,
+        pitch,
         yaw_min_deg=own.yaw_min_deg,
         yaw_max_deg=own.yaw_max_deg,
         yaw_endless=own.yaw_endless,
@@ -85,7 +92,9 @@ def preflight_problems(
         for s in shots
         if math.isfinite(turn)
     ]
-    problems += limit_problems(forward or shots, gimbal_limits(gimbal, settings))
+    limits = gimbal_limits(gimbal, settings)
+    problems += limit_problems(forward or shots, limits)
+    problems += turning_problems(forward, limits, vehicle)
     needed = len(shots) * settings.brackets
     if camera.storage_free_images < needed:
         problems.append(f"the camera has room for {camera.storage_free_images:g} photos, {needed} are needed")
@@ -100,6 +109,31 @@ def preflight_problems(
     if guards.allowed_modes and status.mode not in guards.allowed_modes:
         problems.append(f"flight mode is {status.mode or 'unknown'}; allowed: {', '.join(guards.allowed_modes)}")
     return problems
+
+
+def turning_problems(forward: Sequence[Shot], limits: GimbalLimits, vehicle: Vehicle) -> list[str]:
+    """Why a vehicle that must be turned for these shots cannot be; empty if it can, or need not.
+
+    Args:
+        forward: the shots, yaw from the vehicle's nose; empty while its heading is unknown.
+        limits: of the gimbal, and of the turning.
+        vehicle: asked for its mode.
+    """
+    if limits.turning is None:
+        return []
+    if not forward:
+        return ["the vehicle does not say where its nose points, and may have to be turned"]
+    reach = PanReach.of(limits)
+    beyond = sum(not reach.has(shot.yaw_deg, 0.0) for shot in forward)
+    if not beyond or vehicle.status.mode in vehicle.turn_modes:
+        return []
+    return [f"{beyond} shots need the vehicle to turn: {cannot_turn(vehicle.status.mode, vehicle.turn_modes)}"]
+
+
+def cannot_turn(mode: str, turn_modes: Sequence[str]) -> str:
+    """Why a vehicle does not turn in this mode, and in which it does, in words for its pilot."""
+    names = [PILOTS_NAMES.get(name, name) for name in turn_modes]
+    return f"in flight mode {mode or 'unknown'} it cannot be turned; change to {' or '.join(names) or 'another one'}"
 
 
 def attitude_problems(sample: AttitudeSample | None, *, now_s: float, silence_s: float) -> list[str]:

@@ -38,6 +38,7 @@ class Shooting:
             settings=flight.settings,
             reference_yaw_north_deg=flight.record.reference_yaw_north_deg,
             open_loop=flight.settings.feedback == "none",
+            turner=flight.turner,
         )
 
     async def run(self) -> None:
@@ -81,7 +82,8 @@ class Shooting:
             patience_s=patience_s,
         )
         self._keep(started)
-        approach = self.shooter.approach(shot, patience_s=patience_s, clear=self._blocker)
+        coming = [flight.record.shots[index].shot.yaw_deg for index in flight.queue.coming()] if flight.turner else []
+        approach = self.shooter.approach(shot, patience_s=patience_s, clear=self._blocker, coming_yaw_deg=coming)
         done, result = await until(control.interrupt.wait(), approach, f"shot {shot.index}")
         if not done or result is None or (control.interrupt.is_set() and isinstance(result, Settled)):
             self._interrupted(shot.index, number)

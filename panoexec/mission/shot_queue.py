@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -48,6 +48,10 @@ class ShotQueue:
             return None
         shot = self._now.popleft()
         return Task(shot, self._round_of.get(shot, 0))
+
+    def coming(self) -> Iterator[int]:
+        """The shots after the one that is out, in the order in which they come if all goes well."""
+        yield from self._now
 
     def put_back(self, shot: int) -> None:
         """It was interrupted: first again, and nothing counted."""

@@ -129,6 +129,9 @@ class FakeGimbal:
     """Yaw, pitch, roll (3-1-2) of the airframe, for the frames that are relative to it."""
     # what happened
     commands: list[tuple[float, float, float]] = field(default_factory=list)
+    nose: Callable[[float], float] | None = None
+    """Heading of the vehicle at a time: the camera looks there when told no yaw, and its pan range is about it."""
+    _follows: bool = False
     acquired: int = 0
     released: int = 0
 
@@ -149,6 +152,12 @@ class FakeGimbal:
         limits, elapsed = self._limits(), at_s - self._since
         yaw = _eased(self._start[0], self._end[0], elapsed, limits.yaw_rate_deg_s, limits.yaw_acceleration_deg_s2)
         pitch = _eased(self._start[1], self._end[1], elapsed, limits.pitch_rate_deg_s, limits.pitch_acceleration_deg_s2)
+        if self.nose is not None and math.isfinite(at_s):
+            nose = self.nose(at_s)
+            if self._follows or not limits.pans:
+                yaw = nose
+            elif not limits.yaw_endless:
+                yaw = nose + min(max(float(wrap_180(yaw - nose)), limits.yaw_min_deg), limits.yaw_max_deg)
         return yaw, pitch, 0.0
 
     def _angles(self, at_s: float) -> Angles:
@@ -208,7 +217,7 @@ class FakeGimbal:
         self.in_control = False
         self.released += 1
 
-    async def point(self, pitch_deg: float, yaw_deg: float) -> None:
+    async def point(self, pitch_deg: float, yaw_deg: float | None) -> None:
         await self.clock.sleep(0.004)
         if self.refusals > 0:
             self.refusals -= 1
@@ -216,10 +225,14 @@ class FakeGimbal:
         if not self.in_control:
             raise DeviceError("the gimbal is not ours")
         now = self.clock.monotonic()
-        self.commands.append((now, pitch_deg, yaw_deg))
+        self.commands.append((now, pitch_deg, math.nan if yaw_deg is None else yaw_deg))
         if self.stuck:
             return
         self._start, self._since = self.commanded(now), now
+        self._follows = yaw_deg is None
+        if yaw_deg is None:
+            self._end = (self._start[0], pitch_deg, 0.0)
+            return
         self._end = (self._start[0] + float(wrap_180(yaw_deg - self._start[0])), pitch_deg, 0.0)
 
 
@@ -355,6 +368,44 @@ class FakeVehicle:
     )
     said: list[tuple[Severity, str]] = field(default_factory=list)
     deaf: bool = False
+    clock: Clock | None = None
+    turn_modes: tuple[str, ...] = ("OFFBOARD",)
+    offset_deg: Callable[[float], float] = lambda _: 0.0
+    """How far the nose stands beside the heading that it was told, at a time."""
+    refusals: int = 0
+    turn_rate_deg_s: float = 45.0
+    # what happened
+    turns: list[tuple[float, float]] = field(default_factory=list)
+    _from_deg: float = math.nan
+    _to_deg: float = math.nan
+    _since: float = -math.inf
+
+    def heading(self, at_s: float) -> float:
+        """Where the nose points at a time, not wrapped."""
+        if math.isnan(self._to_deg):
+            return self.status.heading_deg
+        steady = _eased(self._from_deg, self._to_deg, at_s - self._since, self.turn_rate_deg_s, 90.0)
+        return steady + self.offset_deg(at_s)
+
+    async def turn(self, heading_deg: float, rate_deg_s: float) -> None:
+        assert self.clock is not None
+        await self.clock.sleep(0.004)
+        if self.refusals > 0:
+            self.refusals -= 1
+            raise DeviceError("the vehicle refused to turn")
+        now = self.clock.monotonic()
+        self.turns.append((now, heading_deg))
+        if self.status.mode in self.turn_modes:
+            here = self.heading(now) - (0.0 if math.isnan(self._to_deg) else self.offset_deg(now))
+            self._from_deg, self._to_deg = here, here + float(wrap_180(heading_deg - here))
+            self._since = now
+
+    async def tell(self) -> None:
+        """Keep the status' heading up to date, ten times a second."""
+        assert self.clock is not None
+        while True:
+            self.change(heading_deg=self.heading(self.clock.monotonic()) % 360.0)
+            await self.clock.sleep(0.1)
 
     async def say(self, text: str, severity: Severity = Severity.NOTICE) -> None:
         if self.deaf:

@@ -66,7 +66,7 @@ class _Gimbal:
         if not self._process.dead:
             await self._real.acquire()
 
-    async def point(self, pitch_deg: float, yaw_deg: float) -> None:
+    async def point(self, pitch_deg: float, yaw_deg: float | None) -> None:
         if not self._process.dead:
             await self._real.point(pitch_deg, yaw_deg)
 

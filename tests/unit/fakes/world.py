@@ -149,7 +149,7 @@ async def a_world(
         clock=clock,
         gimbal=FakeGimbal(clock=clock, **gimbal),
         camera=FakeCamera(clock=clock),
-        vehicle=FakeVehicle(),
+        vehicle=FakeVehicle(clock=clock),
         journal=MemoryJournal(clock=clock),
         sink=ListSink(),
         verifier=FakeVerifier(needed=len(plan.shots)),
@@ -158,8 +158,14 @@ async def a_world(
     )
     async with asyncio.TaskGroup() as group:
         streaming = group.create_task(world.gimbal.stream(), name="fake gimbal")
+        telling: asyncio.Task[None] | None = None
+        if world.settings.gimbal.turning is not None:
+            world.gimbal.nose = world.vehicle.heading
+            telling = group.create_task(world.vehicle.tell(), name="fake vehicle")
         try:
             await clock.sleep(0.1)
             yield world
         finally:
             streaming.cancel()
+            if telling is not None:
+                telling.cancel()
