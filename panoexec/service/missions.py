@@ -14,7 +14,7 @@ import structlog
 from panoexec.clock import Clock
 from panoexec.config import Config
 from panoexec.errors import PanoexecError
-from panoexec.events import EventSink
+from panoexec.events import Event, EventSink
 from panoexec.leavings import write_leavings
 from panoexec.mission.control import CommandRefusedError
 from panoexec.mission.executor import Mission
