@@ -19,6 +19,8 @@ from panoexec.errors import InputFileError
 from panoexec.validation import problem_lines, read_toml
 
 ENV_PREFIX = "PANOEXEC_"
+TURNING_MODES = frozenset({"OFFBOARD", "HOLD"})
+"""Flight modes, by MAVSDK's names, in which one autopilot or another lets itself be turned."""
 _ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 Positive: TypeAlias = Annotated[FiniteFloat, Field(gt=0)]
@@ -55,6 +57,8 @@ class VehicleSection(Section):
     serial: str | None = None
     baud: Annotated[int, Field(ge=1200, le=4_000_000)] = 921_600
     component_id: Annotated[int, Field(ge=1, le=255)] = 191
+    yaw_rate_deg_s: Positive = 45.0
+    yaw_acceleration_deg_s2: Positive = 90.0
 
     @field_validator("id")
     @classmethod
@@ -235,6 +239,16 @@ class Config(Section):
     mqtt: MqttSection = MqttSection()
     storage: StorageSection = StorageSection()
     log: LogSection = LogSection()
+
+    @model_validator(mode="after")
+    def _a_vehicle_that_pans_may_be_turned(self) -> Self:
+        modes = self.guards.allowed_modes
+        if self.gimbal.yaw != "gimbal" and modes and not set(modes) & TURNING_MODES:
+            raise ValueError(
+                f'gimbal.yaw = "{self.gimbal.yaw}" turns the vehicle, but guards.allowed_modes = {list(modes)} has no '
+                f"mode in which one can be turned: OFFBOARD (ArduPilot: GUIDED) or HOLD (PX4)"
+            )
+        return self
 
 
 def load_config(path: Path, environment: Mapping[str, str]) -> Config:

@@ -88,6 +88,7 @@ class DryRunSummary:
         trigger_delay_s: 99th percentile from settled to the trigger on the wire, in simulated seconds.
         certificate: of the measured attitudes; None if the mission did not come that far.
         vehicle: what it was flown on, as in the manifest; `landed` where it had to be.
+        turns: how often the vehicle was turned, where it pans.
     """
 
     mission_id: str
@@ -108,6 +109,7 @@ class DryRunSummary:
     trigger_delay_s: float
     certificate: Certificate | None = field(repr=False)
     vehicle: dict[str, Any] = field(default_factory=dict)
+    turns: int = 0
 
     @property
     def limit_ratio(self) -> float:
@@ -248,13 +250,14 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
                 record = await session.run()
                 start = None if before is None else (before[0], before[1] - record.reference_yaw_north_deg)
                 duration_s, certificate = session.mission.shooting_s, session.mission.certificate
+                turns = session.mission.turns
     finally:
         await stored.journal.close()
     await asyncio.to_thread(write_leavings, stored.directory)
     shots = _shots_flown(record, since_utc_s=began_utc_s)
     limit_s = physical_limit_s(shots, stored.settings, start=start, exposure_s=simulation.camera.exposure_s)
     summary = summarise(stored, record, duration_s=duration_s, limit_s=limit_s, certificate=certificate)
-    return replace(summary, vehicle=rig.about)
+    return replace(summary, vehicle=rig.about, turns=turns)
 
 
 def physical_limit_s(
@@ -268,13 +271,16 @@ def physical_limit_s(
         start: pitch and yaw before the first slew; None counts no slew for the first shot.
         exposure_s: of one photo.
     """
+    limits = settings.gimbal
+    if limits.turning is not None:
+        limits = replace(limits, turning=replace(limits.turning, settle_s=0.0))
     at = start
     total_s = 0.0
     for number, shot in enumerate(shots):
         slew_s = 0.0
         if at is not None:
             slew_s = slew_time_s(
-                settings.gimbal,
+                limits,
                 from_pitch_deg=at[0],
                 from_yaw_deg=at[1],
                 to_pitch_deg=shot.pitch_deg,

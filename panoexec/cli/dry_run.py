@@ -17,6 +17,7 @@ import asyncio
 import importlib.util
 import signal
 from collections.abc import Callable, Coroutine
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,10 @@ from panoexec.states import MissionState
 
 _MAX_PAUSE_S = 60.0
 """Nobody is there to say `resume`: what holds a dry-run for longer ends it (it can be resumed)."""
+_NOSE_RATE_DEG_S = 5.0
+"""Where the vehicle pans, the camera is as still as its nose."""
+_NOSE_PATIENCE_S = 10.0
+"""Likewise: room for corrections of the heading, and for gusts."""
 _EXIT = {MissionState.COMPLETE: 0, MissionState.FAILED: 3}
 
 
@@ -151,7 +156,10 @@ def _options(args: argparse.Namespace) -> DryRunOptions:
         max_pause_s=_MAX_PAUSE_S,
         gimbal=plan.constraints.gimbal or GimbalLimits(),
     )
+    if args.yaw == "vehicle":
+        settings = replace(settings, max_rate_deg_s=_NOSE_RATE_DEG_S, patience_s=_NOSE_PATIENCE_S)
     camera = camera_of(plan.camera, interval_s=settings.interval_s, exposure_s=settings.exposure_s)
+    args.assignments = [*_simulated_pan(args), *args.assignments]
     simulation: SimConfig = config_of(args, camera)
     return DryRunOptions(
         plan=plan,
@@ -163,6 +171,14 @@ def _options(args: argparse.Namespace) -> DryRunOptions:
         sitl=None if args.sitl is None else sitl_binary(args.sitl or None),
         connect=args.sitl_connect,
     )
+
+
+def _simulated_pan(args: argparse.Namespace) -> list[str]:
+    """The pan range of the simulated gimbal, where the vehicle is to make up for it."""
+    pan = args.gimbal_pan or ((0.0, 0.0) if args.yaw == "vehicle" else None)
+    if pan is None or args.yaw == "gimbal":
+        return []
+    return ["gimbal.yaw_endless=false", f"gimbal.yaw.min_deg={pan[0]:g}", f"gimbal.yaw.max_deg={pan[1]:g}"]
 
 
 def _plan_and_profile(args: argparse.Namespace) -> tuple[Plan, CameraProfile | None]:

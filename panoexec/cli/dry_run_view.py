@@ -118,6 +118,8 @@ def show_summary(summary: DryRunSummary) -> None:
                 f"pitch {worst.pitch_deg:+.3f}°, roll {worst.roll_deg:+.3f}°, yaw {worst.yaw_deg:+.3f}° (measured)",
             )
         )
+    if summary.turns:
+        facts.append(("turns of the vehicle", str(summary.turns)))
     facts.append(("evidence", ", ".join(f"{n} × {level}" for level, n in summary.evidence.items()) or "none"))
     if certificate is not None:
         proof = "complete as flown" if certificate.uncovered_fraction == 0 else "it has holes"

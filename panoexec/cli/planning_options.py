@@ -9,7 +9,7 @@ from panoexec.camera_profiles import CameraProfile, load_profile
 from panoexec.errors import UsageError
 from panoexec.optics import Camera
 from panoexec.planning.making import METHODS, make_plan
-from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Plan, Timing, Tolerance
+from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Plan, Timing, Tolerance, Turning
 from panoexec.planning.sequence import ORDERS
 
 DEFAULT_CAMERA = "dji-x5s-15mm"
@@ -106,6 +106,12 @@ def add_gimbal_arguments(parser: argparse.ArgumentParser) -> None:
         "--gimbal-pan", type=number, nargs=2, metavar=("MIN", "MAX"), help="pan limits with end stops (endless)"
     )
     group.add_argument(
+        "--yaw",
+        choices=("gimbal", "vehicle", "auto"),
+        default="gimbal",
+        help="who pans: gimbal, vehicle (two-axis gimbals), or auto: the vehicle where the gimbal cannot (gimbal)",
+    )
+    group.add_argument(
         "--gimbal-rate", type=positive, nargs=2, metavar=("PITCH", "YAW"), help="degrees a second (60 90)"
     )
 
@@ -190,11 +196,13 @@ def _masks(args: argparse.Namespace) -> tuple[AngleBox, ...]:
 
 
 def _gimbal(args: argparse.Namespace) -> GimbalLimits | None:
-    if not (args.gimbal_pitch or args.gimbal_pan or args.gimbal_rate):
+    if not (args.gimbal_pitch or args.gimbal_pan or args.gimbal_rate) and args.yaw == "gimbal":
         return None
     default = GimbalLimits()
     pitch = args.gimbal_pitch or (default.pitch_min_deg, default.pitch_max_deg)
     pan = args.gimbal_pan or (default.yaw_min_deg, default.yaw_max_deg)
+    if args.yaw == "vehicle":
+        pan = (0.0, 0.0)
     rate = args.gimbal_rate or (default.pitch_rate_deg_s, default.yaw_rate_deg_s)
     return GimbalLimits(
         pitch_min_deg=pitch[0],
@@ -203,5 +211,6 @@ def _gimbal(args: argparse.Namespace) -> GimbalLimits | None:
         yaw_max_deg=pan[1],
         pitch_rate_deg_s=rate[0],
         yaw_rate_deg_s=rate[1],
-        yaw_endless=args.gimbal_pan is None,
+        yaw_endless=args.gimbal_pan is None and args.yaw != "vehicle",
+        turning=None if args.yaw == "gimbal" else Turning(),
     )

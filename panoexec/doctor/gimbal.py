@@ -12,7 +12,7 @@ from panoexec.config import Config
 from panoexec.doctor.advice import advise
 from panoexec.doctor.findings import Findings
 from panoexec.errors import DeviceError, PanoexecError
-from panoexec.mission.preflight import attitude_problems, limit_problems
+from panoexec.mission.preflight import attitude_problems, limit_problems, limits_that_hold
 from panoexec.mqtt.messages import PlanRequest
 from panoexec.planning.model import GimbalLimits
 from panoexec.service.wishes import gimbal_limits, wish_of
@@ -75,13 +75,17 @@ def _examine_limits(gimbal: MavsdkGimbal, config: Config, findings: Findings) ->
                 advice=f"[gimbal] pitch_deg and yaw_deg, or {advise('limits', findings.autopilot)}",
             )
         else:
-            findings.ok("gimbal", "limits", f"{text}; configured {_range(gimbal_limits(config.gimbal))}")
+            findings.ok("gimbal", "limits", f"{text}; configured {_range(gimbal_limits(config))}")
         return
     findings.ok("gimbal", "limits", _range(own))
 
 
 def _range(limits: GimbalLimits) -> str:
-    yaw = "endless" if limits.yaw_endless else f"{limits.yaw_min_deg:.0f} to {limits.yaw_max_deg:.0f}°"
+    yaw = f"{limits.yaw_min_deg:.0f} to {limits.yaw_max_deg:.0f}°"
+    if limits.yaw_endless:
+        yaw = "endless"
+    elif not limits.pans:
+        yaw = "none (two axes: the vehicle must pan, [gimbal] yaw)"
     return f"pitch {limits.pitch_min_deg:.0f} to {limits.pitch_max_deg:.0f}°, yaw {yaw}"
 
 
@@ -122,16 +126,8 @@ async def _examine_plan(gimbal: MavsdkGimbal, config: Config, findings: Findings
     try:
         wish = wish_of(config, PlanRequest(transaction="doctor"))
         limits = wish.constraints.gimbal or GimbalLimits()
-        if (own := gimbal.limits) is not None:
-            limits = replace(
-                limits,
-                pitch_min_deg=own.pitch_min_deg,
-                pitch_max_deg=own.pitch_max_deg,
-                yaw_min_deg=own.yaw_min_deg,
-                yaw_max_deg=own.yaw_max_deg,
-                yaw_endless=own.yaw_endless,
-            )
-            wish = replace(wish, constraints=replace(wish.constraints, gimbal=limits))
+        limits = limits_that_hold(gimbal.limits, limits)
+        wish = replace(wish, constraints=replace(wish.constraints, gimbal=limits))
         plan = await asyncio.to_thread(wish.plan)
     except PanoexecError as error:
         advice = f"[mission] elevation_deg, or {advise('limits', findings.autopilot)}"
@@ -152,7 +148,7 @@ async def _examine_plan(gimbal: MavsdkGimbal, config: Config, findings: Findings
 
 def _turned_by_heading(limits: GimbalLimits) -> bool:
     """Whether what is in reach depends on where the vehicle will look: limits of yaw are relative to its nose."""
-    return not limits.yaw_endless and limits.yaw_max_deg - limits.yaw_min_deg < 360.0
+    return not limits.all_round and limits.yaw_max_deg - limits.yaw_min_deg < 360.0
 
 
 async def examine_control(gimbal: MavsdkGimbal, findings: Findings) -> None:

@@ -44,7 +44,11 @@ def limit_problems(shots: Iterable[Shot], limits: GimbalLimits, *, margin_deg: f
 
 def gimbal_limits(gimbal: Gimbal, settings: MissionSettings) -> GimbalLimits:
     """The limits that hold: ranges as the gimbal states them, else as configured; rates always as configured."""
-    own, configured = gimbal.limits, settings.gimbal
+    return limits_that_hold(gimbal.limits, settings.gimbal)
+
+
+def limits_that_hold(own: GimbalLimits | None, configured: GimbalLimits) -> GimbalLimits:
+    """What the gimbal states (None: nothing) with what is configured; see `gimbal_limits`."""
     if own is None:
         return configured
     pitch = replace(configured, pitch_min_deg=own.pitch_min_deg, pitch_max_deg=own.pitch_max_deg)

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from panoexec.adapters.connection_url import parse_connection
 from panoexec.camera_profiles import CameraProfile, load_profile, profile_from_mapping
-from panoexec.config import Config, GimbalSection
+from panoexec.config import Config
 from panoexec.devices import EvidenceLevel
 from panoexec.errors import InputFileError, UsageError
 from panoexec.mission.settings import GuardSettings, MissionSettings
@@ -16,7 +16,7 @@ from panoexec.mqtt.credentials import credential_problems
 from panoexec.mqtt.messages import PlanRequest, RefusedRequestError
 from panoexec.planfile import PlanFile, plan_from_data
 from panoexec.planning.making import finished, make_plan
-from panoexec.planning.model import Band, Constraints, GimbalLimits, Plan, Timing, Tolerance
+from panoexec.planning.model import Band, Constraints, GimbalLimits, Plan, Timing, Tolerance, Turning
 from panoexec.planning.request import check_request
 from panoexec.planning.sequence import Order
 
@@ -157,7 +157,7 @@ def _constraints(config: Config, request: PlanRequest, base: Constraints | None)
         tolerance=tolerance,
         guarantee=request.guarantee or (base.guarantee if base else section.guarantee),
         masks=base.masks if base else (),
-        gimbal=gimbal_limits(config.gimbal),
+        gimbal=gimbal_limits(config),
     )
 
 
@@ -165,12 +165,18 @@ def _first(*values: float | None) -> float:
     return next(value for value in values if value is not None)
 
 
-def gimbal_limits(section: GimbalSection) -> GimbalLimits:
-    """Where the gimbal can point and how fast, as configured."""
-    default = GimbalLimits()
+def gimbal_limits(config: Config) -> GimbalLimits:
+    """Where the gimbal can point and how fast, as configured, and whether the vehicle pans in its place."""
+    section, default = config.gimbal, GimbalLimits()
     pitch = section.pitch_deg or (default.pitch_min_deg, default.pitch_max_deg)
     yaw = section.yaw_deg or (default.yaw_min_deg, default.yaw_max_deg)
     endless = section.yaw_endless if section.yaw_endless is not None else section.yaw_deg is None
+    turning = None
+    if section.yaw != "gimbal":
+        vehicle = config.vehicle
+        turning = Turning(rate_deg_s=vehicle.yaw_rate_deg_s, acceleration_deg_s2=vehicle.yaw_acceleration_deg_s2)
+    if section.yaw == "vehicle":
+        yaw, endless = (0.0, 0.0), False
     return GimbalLimits(
         pitch_min_deg=pitch[0],
         pitch_max_deg=pitch[1],
@@ -181,6 +187,7 @@ def gimbal_limits(section: GimbalSection) -> GimbalLimits:
         pitch_acceleration_deg_s2=section.pitch_acceleration_deg_s2,
         yaw_acceleration_deg_s2=section.yaw_acceleration_deg_s2,
         yaw_endless=endless,
+        turning=turning,
     )
 
 
@@ -244,6 +251,4 @@ def configuration_problems(config: Config) -> list[str]:
             parse_connection(vehicle.connection)
         except UsageError as error:
             problems.append(f"vehicle.{error}")
-    if config.gimbal.yaw == "vehicle":
-        problems.append('gimbal.yaw = "vehicle": panning by turning the vehicle is not possible yet: use "gimbal"')
     return problems

@@ -121,7 +121,7 @@ class SitlVehicle:
             payload_port=payload_port,
             speedup=self.speedup,
             home=(airframe.latitude_deg, airframe.longitude_deg, airframe.home_altitude_m, airframe.heading_deg),
-            parameters=wind_parameters(self.simulation),
+            parameters=wind_parameters(self.simulation) | pan_parameters(self.simulation),
         )
         about = {"autopilot": "ardupilot", "simulated": "sitl", "binary": str(self.binary), "seed": payload.seed}
         async with (
@@ -187,6 +187,14 @@ def wind_parameters(simulation: SimConfig) -> dict[str, float]:
         "SIM_WIND_DIR": airframe.wind_from_deg,
         "SIM_WIND_TURB": airframe.wind_m_s / 8,
     }
+
+
+def pan_parameters(simulation: SimConfig) -> dict[str, float]:
+    """The mount's pan range, where the simulated gimbal has one: 0 to 0 tells ArduPilot that it has two axes."""
+    gimbal = simulation.gimbal
+    if gimbal.yaw_endless:
+        return {}
+    return {"MNT1_YAW_MIN": gimbal.yaw.min_deg, "MNT1_YAW_MAX": gimbal.yaw.max_deg}
 
 
 def check_payload_only(simulation: SimConfig, *, option: str) -> None:

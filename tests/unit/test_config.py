@@ -65,6 +65,7 @@ port = "lots"
         ('[camera]\ntrigger = "serial"', "needs serial_port"),
         ('[camera]\ntrigger = "serial"\nserial_port = "/dev/x"\nevidence = "file_seen"', "cannot prove"),
         ("[pointing]\nsettle_s = 5\nsettle_timeout_s = 5", "must be more than"),
+        ('[gimbal]\nyaw = "vehicle"\n[guards]\nallowed_modes = ["POSCTL"]', "no mode in which one can be turned"),
         ('[mqtt]\ncert_file = "a"', "belong together"),
         ('[mqtt]\npassword_file = "a"', "needs username"),
         ("[mission]\nazimuth_deg = [-180, 200]", "at most 360"),
