@@ -5,7 +5,7 @@ BIN     := $(VENV)/bin
 ARGS    ?=
 WORKERS ?= 4
 
-.PHONY: dry-run test check format bench clean help
+.PHONY: dry-run test check format bench deb install clean help
 
 help:            ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
@@ -29,6 +29,15 @@ format: $(VENV)/.dev      ## put the code in order
 
 bench: $(VENV)/.dev       ## measure speed and memory, as ratios taken in one run
 	$(BIN)/python -m tests.bench $(ARGS)
+
+deb: $(VENV)/bin/python   ## build dist/panoexec_VERSION_ARCH.deb for this Debian: what a vehicle gets
+	@.ci/setup deb
+	@packaging/deb $(BIN)/python
+
+install: $(VENV)/bin/python ## the same without a package: into DESTDIR, or on this machine with user and directories
+	@packaging/stage $(BIN)/python "$(DESTDIR)"
+	@test -n "$(DESTDIR)" || { systemd-sysusers panoexec.conf && systemd-tmpfiles --create panoexec.conf; }
+	@test -n "$(DESTDIR)" || ! test -d /run/systemd/system || systemctl daemon-reload
 
 clean:           ## remove what the targets made (missions stay)
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis *.egg-info
