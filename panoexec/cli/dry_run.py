@@ -108,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
     if args.attach and not args.sitl_connect:
         raise UsageError("--attach goes with --sitl-connect; --sitl attaches the payload by itself")
     _check_storage(args.output)
-    view = MissionView()
+    view = MissionView(live=not args.json)
     if args.resume:
         flight: Callable[[], Coroutine[Any, Any, DryRunSummary]] = lambda: resume_dry_run(  # noqa: E731
             args.resume, on_event=view.on_event, on_mission=view.on_mission, note=view.note

@@ -8,49 +8,95 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from panoexec import events as ev
-from panoexec.cli.output import minutes, note, print_facts
+from panoexec.cli.output import console, minutes, note, print_facts
+from panoexec.cli.sphere_map import HEIGHT, WIDTH, Mark, SphereMap, marks_of
 from panoexec.dryrun import DryRunSummary
 from panoexec.mission.executor import Mission
-from panoexec.planning.model import Plan
+from panoexec.planning.model import Plan, Shot
 from panoexec.planning.pose_error import pose_error
 from panoexec.pose_reading import read_pose
 
 if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+    from rich.live import Live
     from rich.progress import Progress, TaskID
+    from rich.text import Text
+
+REFRESH_HZ = 4.0
+ROOM_LINES = 6
+"""Lines that a terminal must have beside the map: legend, bar, and some of what happened."""
 
 
 class MissionView:
-    """A progress bar on a terminal, a line for each verdict otherwise; all on stderr.
+    """On a terminal a map of the sphere with a progress bar, a line for each verdict otherwise; all on stderr.
 
-    A context manager: the bar is alive inside it.
+    A context manager: the picture is alive inside it.
+
+    Args:
+        live: whether a terminal gets a picture; programs that read the result get lines all the same.
+        out: where to draw; None: stderr, if that is a terminal.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, live: bool = True, out: Console | None = None) -> None:
         self._mission: Mission | None = None
+        self._plan: Plan | None = None
+        self._wanted = live and (out is not None or sys.stderr.isatty())
+        self._out = out
+        self._live: Live | None = None
         self._progress: Progress | None = None
         self._bar: TaskID | None = None
-        self._total = 0
+        self._map: SphereMap | None = None
+        self._shots: list[Shot] = []
+        self._marks: dict[int, Mark] = {}
+        self._drawn: tuple[dict[int, Mark], Text] | None = None
 
     def __enter__(self) -> Self:
-        if sys.stderr.isatty():
-            self._progress = _progress(self._live)
-            self._bar = self._progress.add_task("shots", total=self._total or None)
-            self._progress.start()
+        if self._wanted:
+            from rich.live import Live  # noqa: PLC0415
+
+            self._out = self._out or console(stderr=True)
+            self._progress = _progress(self._facts)
+            self._bar = self._progress.add_task("shots", total=len(self._plan.shots) if self._plan else None)
+            self._live = Live(console=self._out, get_renderable=self.picture, refresh_per_second=REFRESH_HZ)
+            self._live.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._progress is not None:
-            self._progress.stop()
+        if self._live is not None:
+            self._live.stop()
 
     def expect(self, plan: Plan) -> None:
-        """Show a plan's number of shots before the mission begins."""
-        self._total = len(plan.shots)
+        """Show a plan before the mission begins."""
+        self._plan, self._shots = plan, list(plan.shots)
 
     def on_mission(self, mission: Mission) -> None:
         """Take the mission, for a look at its live state."""
-        self._mission = mission
+        self._mission, self._plan = mission, mission.plan
+        self._look(mission)
+
+    def picture(self) -> RenderableType:
+        """What a terminal shows now: the map, if there is room for it, above the bar. Called by a thread of its own."""
+        from rich.console import Group  # noqa: PLC0415
+
+        assert self._progress is not None
+        assert self._out is not None
+        size = self._out.size
+        if self._plan is None or size.width < WIDTH or size.height < HEIGHT + ROOM_LINES:
+            return self._progress.get_renderable()
+        if self._drawn is None or self._drawn[0] is not self._marks:
+            self._map = self._map or SphereMap(self._plan.camera)
+            marks, colours = self._marks, self._out.color_system is not None
+            self._drawn = marks, self._map.text(self._shots, marks, colours=colours)
+        return Group(self._drawn[1], self._progress.get_renderable())
+
+    def _look(self, mission: Mission) -> None:
+        """Take what the map shows from the mission's record, which changes only on the event loop."""
+        record = mission.record
+        marks = marks_of(record)
+        if marks != self._marks:
+            self._shots, self._marks = [shot.shot for _, shot in sorted(record.shots.items())], marks
 
     def on_event(self, event: ev.Event) -> None:  # noqa: C901  (one case a kind of event)
         """Show what happened."""
@@ -77,6 +123,7 @@ class MissionView:
                 pass
         if self._progress is not None and self._bar is not None and self._mission is not None:
             record = self._mission.record
+            self._look(self._mission)
             self._progress.update(self._bar, completed=record.shots_done, total=record.shots_total)
 
     def note(self, text: str) -> None:
@@ -87,9 +134,10 @@ class MissionView:
         if self._progress is None:
             note(text)
         else:
-            self._progress.console.print(text, markup=False, highlight=False)
+            assert self._live is not None
+            self._live.console.print(text, markup=False, highlight=False)
 
-    def _live(self) -> str:
+    def _facts(self) -> str:
         """Retakes, current error, time left."""
         mission = self._mission
         if mission is None:
@@ -137,11 +185,10 @@ def show_summary(summary: DryRunSummary) -> None:
 
 
 def _progress(live: object) -> Progress:
-    from rich.console import Console  # noqa: PLC0415
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn  # noqa: PLC0415
     from rich.text import Text  # noqa: PLC0415
 
-    class Live(ProgressColumn):
+    class Beside(ProgressColumn):
         """Asks anew at every refresh."""
 
         def render(self, task: Task) -> Text:
@@ -153,9 +200,7 @@ def _progress(live: object) -> Progress:
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        Live(),
-        console=Console(stderr=True),
-        refresh_per_second=8,
+        Beside(),
     )
 
 

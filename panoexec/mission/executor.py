@@ -110,6 +110,11 @@ class Mission:
         return self._flight.record
 
     @property
+    def plan(self) -> Plan:
+        """What is flown."""
+        return self._flight.plan
+
+    @property
     def certificate(self) -> Certificate | None:
         """Of the measured attitudes; None before the end."""
         return self._ending.certificate

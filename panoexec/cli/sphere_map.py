@@ -1,0 +1,145 @@
+"""The sphere as a map of characters: which directions are photographed, which are next, and where a hole would be.
+
+An equirectangular map, azimuth to the right with the plan's yaw 0 in the middle, elevation up. Each character holds two
+pixels, one above the other. A pixel has the colour of the best that is known of the images that see its middle: a
+direction that one image has already is no gap because another one is missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from enum import IntEnum
+from itertools import groupby
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panoexec.angles import rotation
+from panoexec.mission.record import MissionRecord, ShotRecord, ShotStatus
+from panoexec.optics import Camera
+from panoexec.planning.model import Shot
+
+if TYPE_CHECKING:
+    from rich.text import Text
+
+WIDTH: Final = 72
+HEIGHT: Final = 18
+"""Of the map in characters: a pixel is 5° wide and 5° high."""
+
+
+class Mark(IntEnum):
+    """What is known of a direction; where images overlap the larger one shows."""
+
+    OUTSIDE = 0
+    TODO = 1
+    MISSING = 2
+    AGAIN = 3
+    RETAKEN = 4
+    DONE = 5
+    CURRENT = 6
+
+
+LEGEND: Final[Mapping[Mark, tuple[str, str, str]]] = {
+    Mark.DONE: ("#2e9e44", "█", "done"),
+    Mark.RETAKEN: ("#1fa6a6", "▓", "retaken"),
+    Mark.CURRENT: ("#ffd43b", "◉", "now"),
+    Mark.AGAIN: ("#e07b1f", "?", "again"),
+    Mark.MISSING: ("#c92a2a", "x", "missing"),
+    Mark.TODO: ("#5c5f66", "·", "to do"),
+}
+"""Of each mark the colour, the character where there are no colours, and the word."""
+_OUTSIDE_COLOUR: Final = "#16181d"
+
+
+def mark_of(record: ShotRecord, *, current: bool) -> Mark:
+    """What a shot's record means on the map.
+
+    Args:
+        record: of the shot.
+        current: it is the one that is being taken.
+    """
+    if current and record.status in {ShotStatus.ACTIVE, ShotStatus.EXPOSED}:
+        return Mark.CURRENT
+    if record.accepted is not None:
+        return Mark.RETAKEN if record.accepted.number > 1 else Mark.DONE
+    if record.status in {ShotStatus.MISSED, ShotStatus.SKIPPED}:
+        return Mark.MISSING
+    tried = any(attempt.code for attempt in record.attempts)
+    return Mark.AGAIN if tried else Mark.TODO
+
+
+def marks_of(record: MissionRecord) -> dict[int, Mark]:
+    """The marks of all shots of a mission, by index."""
+    return {index: mark_of(shot, current=index == record.current) for index, shot in record.shots.items()}
+
+
+class SphereMap:
+    """Draws the shots of one mission; which pixels an image sees is computed once."""
+
+    def __init__(self, camera: Camera, *, width: int = WIDTH, height: int = HEIGHT) -> None:
+        """Args: the camera; the size of the map in characters."""
+        self._camera = camera
+        self._shape = (2 * height, width)
+        azimuth = np.radians(-180.0 + 360.0 * (np.arange(width) + 0.5) / width)[None, :]
+        elevation = np.radians(90.0 - 180.0 * (np.arange(2 * height) + 0.5) / (2 * height))[:, None]
+        flat = np.cos(elevation)
+        north, east = flat * np.cos(azimuth), flat * np.sin(azimuth)
+        down = np.broadcast_to(-np.sin(elevation), north.shape)
+        self._directions = np.stack([north, east, down], axis=-1).reshape(-1, 3)
+        self._seen: dict[int, NDArray[np.intp]] = {}
+
+    def pixels(self, shots: Sequence[Shot], marks: Mapping[int, Mark]) -> NDArray[np.int8]:
+        """The mark of each pixel, shape (2 * height, width), top row first."""
+        out = np.zeros(self._directions.shape[0], dtype=np.int8)
+        for shot in shots:
+            seen = self._pixels_of(shot)
+            out[seen] = np.maximum(out[seen], marks.get(shot.index, Mark.TODO))
+        return out.reshape(self._shape)
+
+    def _pixels_of(self, shot: Shot) -> NDArray[np.intp]:
+        found = self._seen.get(shot.index)
+        if found is None:
+            inside = self._directions @ rotation(shot.yaw_deg, shot.pitch_deg)
+            depth = inside[:, 0]
+            wide = np.abs(inside[:, 1]) <= self._camera.half_width * depth
+            high = np.abs(inside[:, 2]) <= self._camera.half_height * depth
+            found = np.union1d(np.flatnonzero((depth > 0) & wide & high), [int(np.argmax(depth))])
+            self._seen[shot.index] = found
+        return found
+
+    def text(self, shots: Sequence[Shot], marks: Mapping[int, Mark], *, colours: bool = True) -> Text:
+        """The map with its legend.
+
+        Args:
+            shots: all of the mission.
+            marks: by index; a shot without one is to do.
+            colours: False draws with characters alone, for terminals without colours.
+        """
+        from rich.text import Text  # noqa: PLC0415
+
+        pixels = self.pixels(shots, marks)
+        out = Text(no_wrap=True)
+        for above, below in zip(pixels[0::2], pixels[1::2], strict=True):
+            # neighbours of one look in one piece: a frame through a slow remote shell is 3 kB then, not 50
+            for (top, bottom), alike in groupby(zip(above.tolist(), below.tolist(), strict=True)):
+                length = len(list(alike))
+                if colours:
+                    out.append("▀" * length, f"{_colour(top)} on {_colour(bottom)}")
+                else:
+                    out.append(_character(max(top, bottom)) * length)
+            out.append("\n")
+        counts = {mark: sum(marks.get(shot.index, Mark.TODO) is mark for shot in shots) for mark in LEGEND}
+        for mark, (colour, character, word) in LEGEND.items():
+            if counts[mark]:
+                out.append("■ " if colours else f"{character} ", colour if colours else "")
+                out.append(f"{word} {counts[mark]}  ")
+        return out
+
+
+def _colour(mark: int) -> str:
+    return LEGEND[Mark(mark)][0] if mark else _OUTSIDE_COLOUR
+
+
+def _character(mark: int) -> str:
+    return LEGEND[Mark(mark)][1] if mark else " "

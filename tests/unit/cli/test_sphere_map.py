@@ -1,0 +1,199 @@
+"""The map of the sphere: which direction has which mark, and what a terminal shows of it."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from panoexec import events as ev
+from panoexec.cli.dry_run_view import MissionView
+from panoexec.cli.sphere_map import HEIGHT, LEGEND, WIDTH, Mark, SphereMap, marks_of
+from panoexec.devices import EvidenceLevel
+from panoexec.mission.executor import Mission
+from panoexec.mission.record import MissionRecord
+from panoexec.optics import Camera
+from panoexec.planning.model import Shot
+from tests.unit.fakes.virtual import run_virtual
+from tests.unit.fakes.world import World, a_world
+
+CAMERA = Camera.from_fov(60.0, 45.0)
+
+
+def a_shot(index: int, pitch_deg: float, yaw_deg: float) -> Shot:
+    return Shot(index=index, row=0, pitch_deg=pitch_deg, yaw_deg=yaw_deg)
+
+
+def mark_at(pixels: np.ndarray[tuple[int, ...], np.dtype[np.int8]], elevation_deg: float, azimuth_deg: float) -> Mark:
+    row = int((90.0 - elevation_deg) / 180.0 * 2 * HEIGHT)
+    column = int((azimuth_deg + 180.0) / 360.0 * WIDTH)
+    return Mark(int(pixels[row, column]))
+
+
+def test_an_image_marks_what_it_sees_and_nothing_else() -> None:
+    pixels = SphereMap(CAMERA).pixels([a_shot(0, -20.0, 90.0)], {0: Mark.DONE})
+    assert pixels.shape == (2 * HEIGHT, WIDTH)
+    assert mark_at(pixels, -20.0, 90.0) is Mark.DONE
+    assert mark_at(pixels, -20.0 + 18.0, 90.0) is Mark.DONE
+    assert mark_at(pixels, -20.0 + 28.0, 90.0) is Mark.OUTSIDE
+    assert mark_at(pixels, -20.0, 90.0 + 26.0) is Mark.DONE
+    assert mark_at(pixels, -20.0, 90.0 + 36.0) is Mark.OUTSIDE
+    assert mark_at(pixels, -20.0, -90.0) is Mark.OUTSIDE
+
+
+def test_the_nadir_is_the_whole_lowest_row_and_the_back_is_both_ends() -> None:
+    pixels = SphereMap(CAMERA).pixels([a_shot(0, -90.0, 0.0), a_shot(1, 0.0, -180.0)], {0: Mark.DONE, 1: Mark.MISSING})
+    assert set(pixels[-1].tolist()) == {Mark.DONE}
+    assert mark_at(pixels, 1.0, 178.0) is mark_at(pixels, 1.0, -178.0) is Mark.MISSING
+
+
+def test_what_one_image_has_is_no_gap_of_another() -> None:
+    shots = [a_shot(0, 0.0, 0.0), a_shot(1, 0.0, 30.0)]
+    pixels = SphereMap(CAMERA).pixels(shots, {0: Mark.DONE, 1: Mark.MISSING})
+    assert mark_at(pixels, 1.0, 15.0) is Mark.DONE
+    assert mark_at(pixels, 1.0, 45.0) is Mark.MISSING
+
+
+def test_an_image_smaller_than_a_character_is_still_there() -> None:
+    pixels = SphereMap(Camera.from_fov(2.0, 1.5)).pixels([a_shot(0, 11.0, 33.0)], {0: Mark.CURRENT})
+    assert int(np.count_nonzero(pixels)) == 1
+    assert mark_at(pixels, 11.0, 33.0) is Mark.CURRENT
+
+
+def shown(text: object, **console: object) -> str:
+    out = Console(file=io.StringIO(), width=120, **console)  # type: ignore[arg-type]
+    out.print(text)
+    return out.file.getvalue()  # type: ignore[attr-defined,no-any-return]
+
+
+def test_colours_and_their_legend() -> None:
+    shots = [a_shot(0, 0.0, 0.0), a_shot(1, 0.0, 90.0)]
+    text = SphereMap(CAMERA).text(shots, {0: Mark.DONE, 1: Mark.MISSING})
+    coloured = shown(text, force_terminal=True, color_system="truecolor")
+    for mark in (Mark.DONE, Mark.MISSING):
+        red, green, blue = (int(LEGEND[mark][0][i : i + 2], 16) for i in (1, 3, 5))
+        assert f"38;2;{red};{green};{blue}" in coloured
+    assert "done 1  missing 1" in text.plain.replace("■ ", "")
+    assert "to do" not in text.plain
+
+
+def test_without_colours_the_characters_tell() -> None:
+    shots = [a_shot(0, 0.0, 0.0), a_shot(1, 0.0, 90.0), a_shot(2, 0.0, -90.0)]
+    plain = shown(SphereMap(CAMERA).text(shots, {0: Mark.DONE, 1: Mark.MISSING}, colours=False))
+    lines = plain.splitlines()
+    assert len(lines) == HEIGHT + 1
+    assert {"█", "x", "·"} <= set("".join(lines[:HEIGHT]))
+
+
+def test_the_marks_of_a_mission() -> None:
+    shots = [a_shot(i, 0.0, 0.0) for i in range(7)]
+    photo = ev.Photo(number=1, evidence=EvidenceLevel.COUNTED, capture_time_utc_s=0.0)
+
+    def attempt(shot: int, number: int, *after: ev.Event) -> list[ev.Event]:
+        started = ev.ShotStarted(shot=shot, attempt=number, round=0, pitch_deg=0.0, yaw_deg=0.0, patience_s=1.0)
+        exposed = ev.ShotExposed(
+            shot=shot,
+            attempt=number,
+            photos=(photo,),
+            pointing_ok=True,
+            reason="",
+            samples=3,
+            measured=None,
+            errors=None,
+            slew_settle_s=1.0,
+            trigger_delay_s=0.0,
+        )
+        return [started, exposed, *after]
+
+    def accepted(shot: int, number: int) -> ev.Event:
+        return ev.ShotAccepted(shot=shot, attempt=number, photos=(photo,))
+
+    def rejected(shot: int, number: int) -> ev.Event:
+        return ev.ShotRejected(shot=shot, attempt=number, code="pointing", reason="off")
+
+    happened: list[ev.Event] = [
+        *attempt(0, 1, accepted(0, 1)),
+        *attempt(1, 1, rejected(1, 1)),
+        *attempt(1, 2, accepted(1, 2)),
+        *attempt(2, 1, rejected(2, 1)),
+        *attempt(3, 1, rejected(3, 1), ev.ShotMissed(shot=3, attempt=1, reason="off")),
+        ev.ShotSkipped(shot=4, attempt=0),
+        *attempt(5, 1),
+    ]
+    record = MissionRecord(mission_id="m", shots=shots)
+    for seq, event in enumerate(happened, start=1):
+        record.apply(ev.event_from_json(event.to_json() | {"seq": seq}))
+    assert list(marks_of(record).values()) == [
+        Mark.DONE,
+        Mark.RETAKEN,
+        Mark.AGAIN,
+        Mark.MISSING,
+        Mark.MISSING,
+        Mark.CURRENT,
+        Mark.TODO,
+    ]
+
+
+def _flown(out: Console, *, live: bool = True) -> MissionView:
+    """A whole mission under the view, its picture drawn at each event."""
+
+    async def main() -> MissionView:
+        async with a_world() as world:
+            view = MissionView(live=live, out=out)
+            view.expect(world.plan)
+            mission = world.mission()
+            with view:
+                view.on_mission(mission)
+                await _watched(world, mission, view)
+            return view
+
+    return run_virtual(main())
+
+
+async def _watched(world: World, mission: Mission, view: MissionView) -> None:
+    publish = world.sink.publish
+
+    def also(event: ev.Event) -> None:
+        publish(event)
+        view.on_event(event)
+
+    world.sink.publish = also  # type: ignore[method-assign]
+    await mission.run()
+
+
+def a_terminal(width: int, height: int) -> Console:
+    return Console(
+        file=io.StringIO(),
+        force_terminal=True,
+        color_system="truecolor",
+        width=width,
+        height=height,
+        legacy_windows=False,
+    )
+
+
+def test_a_terminal_shows_the_map_above_the_bar() -> None:
+    out = a_terminal(100, 40)
+    _flown(out)
+    text = out.file.getvalue()  # type: ignore[attr-defined]
+    assert text.count("▀") >= WIDTH * HEIGHT
+    assert "done 4" in text
+    assert "4/4" in text
+
+
+@pytest.mark.parametrize(("width", "height"), [(WIDTH - 1, 40), (100, 20)])
+def test_a_terminal_too_small_for_the_map_shows_the_bar_alone(width: int, height: int) -> None:
+    out = a_terminal(width, height)
+    _flown(out)
+    text = out.file.getvalue()  # type: ignore[attr-defined]
+    assert "▀" not in text
+    assert "4/4" in text
+
+
+def test_programs_get_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    _flown(a_terminal(100, 40), live=False)
+    err = capsys.readouterr().err
+    assert err.count("accepted") == 4
+    assert "▀" not in err
