@@ -47,6 +47,7 @@ def tls_context(settings: MqttSection) -> ssl.SSLContext | None:
         context = ssl.create_default_context(cafile=str(settings.ca_file))
     except (ssl.SSLError, OSError) as error:
         raise UsageError(f"mqtt.ca_file {settings.ca_file}: holds no certificates ({_reason(error)})") from error
+    context.sslsocket_class = _ClosedOnFailure
     if settings.cert_file is not None and settings.key_file is not None:
         _check_readable("cert_file", settings.cert_file)
         _check_readable("key_file", settings.key_file)
@@ -59,6 +60,19 @@ def tls_context(settings: MqttSection) -> ssl.SSLContext | None:
                 f"or the key has a passphrase ({_reason(error)})"
             ) from error
     return context
+
+
+class _ClosedOnFailure(ssl.SSLSocket):
+    """A failed handshake closes it: the library that made it forgets it then."""
+
+    def do_handshake(self, block: bool = False) -> None:
+        try:
+            super().do_handshake(block)
+        except (ssl.SSLWantReadError, ssl.SSLWantWriteError):
+            raise
+        except BaseException:
+            self.close()
+            raise
 
 
 def credential_problems(settings: MqttSection) -> list[str]:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-import os
-import socket
 import uuid
 from collections.abc import AsyncGenerator
 from contextlib import AsyncExitStack
@@ -20,12 +18,11 @@ from paho.mqtt.properties import Properties
 
 from panoexec.config import MqttSection
 from panoexec.errors import LinkError
-from panoexec.mqtt.certificates import check_dates, explained
-from panoexec.mqtt.credentials import read_password, tls_context
+from panoexec.mqtt.certificates import explained
+from panoexec.mqtt.client import broker_client
 
 Kind: TypeAlias = Literal["status", "state", "plan", "event"]
 
-_CONNECT_S: Final = 10.0
 _KINDS: Final[dict[str, Kind]] = {"status": "status", "state": "state", "plan": "plan", "event": "event"}
 
 
@@ -57,20 +54,7 @@ class GroundStation:
         """
         settings = self._settings
         assert settings.host is not None
-        await asyncio.to_thread(check_dates, settings)
-        client = aiomqtt.Client(
-            hostname=settings.host,
-            port=settings.port,
-            username=settings.username,
-            password=await asyncio.to_thread(read_password, settings),
-            identifier=f"panoexec-ground-{os.getpid()}-{uuid.uuid4().hex[:8]}",
-            protocol=aiomqtt.ProtocolVersion.V5 if self._five else aiomqtt.ProtocolVersion.V311,
-            keepalive=settings.keepalive_s,
-            timeout=_CONNECT_S,
-            tls_context=await asyncio.to_thread(tls_context, settings),
-            # small packets must not wait for the acknowledgement of the one before (40 ms each)
-            socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
-        )
+        client = await broker_client(settings, identifier="panoexec-ground-")
         try:
             self._client = await self._stack.enter_async_context(client)
         except aiomqtt.MqttError as error:

@@ -10,7 +10,6 @@ import asyncio
 import contextlib
 import math
 import random
-import socket
 import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
@@ -24,8 +23,8 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from panoexec.config import MqttSection
 from panoexec.errors import PanoexecError
-from panoexec.mqtt.certificates import check_dates, explained
-from panoexec.mqtt.credentials import read_password, tls_context
+from panoexec.mqtt.certificates import explained
+from panoexec.mqtt.client import CONNECT_S, broker_client
 from panoexec.mqtt.messages import MAX_PAYLOAD
 from panoexec.mqtt.outbox import Outbox, Outgoing
 
@@ -35,7 +34,6 @@ OFFLINE: Final = b"offline"
 BACKOFF_S: Final = 1.0
 BACKOFF_MOST_S: Final = 30.0
 _STEADY_S: Final = 10.0
-_CONNECT_S: Final = 10.0
 _PULSE_S: Final = 2.0
 _FAREWELL_S: Final = 1.0
 _SESSION_EXPIRY_S: Final = 30
@@ -226,7 +224,7 @@ class MqttLink:
         task = asyncio.ensure_future(connecting)  # type: ignore[call-overload]  # any awaitable
         stop = asyncio.create_task(self._stopping.wait(), name="mqtt stop")
         try:
-            await asyncio.wait({task, stop}, return_when=asyncio.FIRST_COMPLETED, timeout=2 * _CONNECT_S)
+            await asyncio.wait({task, stop}, return_when=asyncio.FIRST_COMPLETED, timeout=2 * CONNECT_S)
             if not task.done():
                 raise aiomqtt.MqttError("the broker does not answer")
             await task
@@ -293,34 +291,20 @@ class MqttLink:
     # --- details of the protocol
 
     async def _client(self) -> aiomqtt.Client:
-        settings = self._settings
-        assert settings.host is not None
-        password = await asyncio.to_thread(read_password, settings)
-        tls = await asyncio.to_thread(tls_context, settings)
-        await asyncio.to_thread(check_dates, settings)
         connect = None
         if self._five:
             connect = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
             # requests that are on their way when a radio loses us for seconds still come, unless they expire
             connect.SessionExpiryInterval = _SESSION_EXPIRY_S
             connect.MaximumPacketSize = _LARGEST_PACKET
-        return aiomqtt.Client(
-            hostname=settings.host,
-            port=settings.port,
-            username=settings.username,
-            password=password,
+        return await broker_client(
+            self._settings,
             identifier=f"panoexec-{self.topics.base.replace('/', '-')}",
-            protocol=aiomqtt.ProtocolVersion.V5 if self._five else aiomqtt.ProtocolVersion.V311,
+            connect=connect,
             # what was asked for while this process did not run is not obeyed by it
             clean_start=self._times == 0 if self._five else 3,
             clean_session=None if self._five else True,
-            properties=connect,
             will=aiomqtt.Will(self.topics.status, OFFLINE, qos=1, retain=True),
-            keepalive=settings.keepalive_s,
-            timeout=_CONNECT_S,
-            tls_context=tls,
-            # small packets must not wait for the acknowledgement of the one before (40 ms each)
-            socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
             queue_type=_Inbox,
             max_queued_incoming_messages=_INCOMING,
             max_inflight_messages=_BATCH + 4,

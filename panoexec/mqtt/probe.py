@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import time
-import uuid
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -13,11 +11,10 @@ import aiomqtt
 
 from panoexec.config import MqttSection
 from panoexec.errors import LinkError
-from panoexec.mqtt.certificates import check_dates, explained
-from panoexec.mqtt.credentials import read_password, tls_context
+from panoexec.mqtt.certificates import explained
+from panoexec.mqtt.client import CONNECT_S, broker_client
 from panoexec.mqtt.link import Topics
 
-_CONNECT_S: Final = 10.0
 _REFUSED: Final = 128
 
 
@@ -38,16 +35,6 @@ class BrokerReport:
     may_write: bool | None
 
 
-class _Client(aiomqtt.Client):
-    """Keeps the reason code of the last acknowledged message, which aiomqtt throws away."""
-
-    acknowledged = 0
-
-    def _on_publish(self, client: Any, userdata: Any, mid: int, reason_code: Any, properties: Any) -> None:
-        self.acknowledged = int(getattr(reason_code, "value", 0))
-        super()._on_publish(client, userdata, mid, reason_code, properties)
-
-
 async def probe_broker(settings: MqttSection, *, vehicle: str) -> BrokerReport:
     """Connect, ask for what a daemon needs, and leave.
 
@@ -61,21 +48,10 @@ async def probe_broker(settings: MqttSection, *, vehicle: str) -> BrokerReport:
     """
     assert settings.host is not None
     topics, five = Topics(settings.prefix, vehicle), settings.protocol == "5"
-    await asyncio.to_thread(check_dates, settings)
-    client = _Client(
-        hostname=settings.host,
-        port=settings.port,
-        username=settings.username,
-        password=await asyncio.to_thread(read_password, settings),
-        identifier=f"panoexec-doctor-{os.getpid()}-{uuid.uuid4().hex[:8]}",
-        protocol=aiomqtt.ProtocolVersion.V5 if five else aiomqtt.ProtocolVersion.V311,
-        keepalive=settings.keepalive_s,
-        timeout=_CONNECT_S,
-        tls_context=await asyncio.to_thread(tls_context, settings),
-    )
+    client = await broker_client(settings, identifier="panoexec-doctor-")
     began = time.monotonic()
     try:
-        async with asyncio.timeout(2 * _CONNECT_S), client:
+        async with asyncio.timeout(2 * CONNECT_S), client:
             connect_s = time.monotonic() - began
             granted: Any = (await client.subscribe(topics.requests, qos=1))[0]
             may_read = int(getattr(granted, "value", granted)) < _REFUSED
