@@ -11,6 +11,7 @@ import asyncio
 import math
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -18,15 +19,15 @@ from typing import Any, Literal
 from panoexec.clock import SystemClock
 from panoexec.devices import EvidenceLevel
 from panoexec.dryrun_vehicle import devices_on, settings_on
-from panoexec.errors import LinkError
+from panoexec.errors import LinkError, UsageError
 from panoexec.events import AxisErrors, Event
 from panoexec.leavings import write_leavings
 from panoexec.mission.executor import Mission
+from panoexec.mission.limit import limit_steps_s
 from panoexec.mission.record import MissionRecord, Verdict
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission_dir import existing_mission_directory
 from panoexec.mission_session import Devices, MissionSession, StoredMission, create_mission, open_mission
-from panoexec.planning.duration import slew_time_s
 from panoexec.planning.model import Certificate, Plan, Shot
 from panoexec.pose_reading import pose_of, read_pose
 from panoexec.sim import settings as sim_settings
@@ -251,45 +252,18 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
                 start = None if before is None else (before[0], before[1] - record.reference_yaw_north_deg)
                 duration_s, certificate = session.mission.shooting_s, session.mission.certificate
                 turns = session.mission.turns
-    finally:
+    except BaseException:
         await stored.journal.close()
+        # an interrupted mission leaves what there is; what went wrong first is what counts
+        with suppress(UsageError):
+            await asyncio.to_thread(write_leavings, stored.directory)
+        raise
+    await stored.journal.close()
     await asyncio.to_thread(write_leavings, stored.directory)
     shots = _shots_flown(record, since_utc_s=began_utc_s)
-    limit_s = physical_limit_s(shots, stored.settings, start=start, exposure_s=simulation.camera.exposure_s)
+    limit_s = sum(limit_steps_s(shots, stored.settings, start=start, exposure_s=simulation.camera.exposure_s))
     summary = summarise(stored, record, duration_s=duration_s, limit_s=limit_s, certificate=certificate)
     return replace(summary, vehicle=rig.about, turns=turns)
-
-
-def physical_limit_s(
-    shots: tuple[Shot, ...], settings: MissionSettings, *, start: tuple[float, float] | None, exposure_s: float
-) -> float:
-    """The least time in which a gimbal and a camera could take these shots in this order, one photo each.
-
-    Args:
-        shots: in shooting order.
-        settings: rates, accelerations, settle time, interval.
-        start: pitch and yaw before the first slew; None counts no slew for the first shot.
-        exposure_s: of one photo.
-    """
-    limits = settings.gimbal
-    if limits.turning is not None:
-        limits = replace(limits, turning=replace(limits.turning, settle_s=0.0))
-    at = start
-    total_s = 0.0
-    for number, shot in enumerate(shots):
-        slew_s = 0.0
-        if at is not None:
-            slew_s = slew_time_s(
-                limits,
-                from_pitch_deg=at[0],
-                from_yaw_deg=at[1],
-                to_pitch_deg=shot.pitch_deg,
-                to_yaw_deg=shot.yaw_deg,
-            )
-        least_s = slew_s + settings.settle_s + exposure_s
-        total_s += least_s if number == 0 else max(least_s, settings.interval_s)
-        at = (shot.pitch_deg, shot.yaw_deg)
-    return total_s
 
 
 def _shots_flown(record: MissionRecord, *, since_utc_s: float) -> tuple[Shot, ...]:

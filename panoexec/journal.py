@@ -146,6 +146,28 @@ class SqliteJournal:
         return await asyncio.get_running_loop().run_in_executor(self._pool, work)
 
 
+def read_journal(path: Path) -> tuple[dict[str, str], list[Event]]:
+    """What a journal that nobody writes holds: its head and its events; the file and its folder stay as they are.
+
+    Raises:
+        JournalFileError: there is none, it is damaged, of a newer version, not ours, or in use.
+    """
+    if not path.is_file():
+        raise JournalFileError(f"{path}: there is no journal")
+    _check_file(path)
+    # whatever a killed process left unfolded lies beside it; without that, SQLite need not make files to read
+    beside = path.with_name(path.name + "-wal")
+    how = "mode=ro" if beside.exists() and beside.stat().st_size else "mode=ro&immutable=1"
+    try:
+        with contextlib.closing(sqlite3.connect(f"{path.absolute().as_uri()}?{how}", uri=True, timeout=1.0)) as found:
+            head = dict(found.execute("SELECT key, value FROM head").fetchall())
+            return head, _read_events(path, found)
+    except sqlite3.Error as error:
+        if "locked" in str(error):
+            raise JournalFileError(f"{path}: in use by another panoexec") from error
+        raise JournalFileError(f"{path}: cannot be read ({error})") from error
+
+
 def _create(path: Path, head: Mapping[str, str]) -> sqlite3.Connection:
     if path.exists():
         raise JournalFileError(f"{path}: exists already; a new mission needs a new directory")

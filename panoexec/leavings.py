@@ -12,6 +12,7 @@ from panoexec.errors import InputFileError, PanoexecError, UsageError
 from panoexec.exports import export_set, write_exports
 from panoexec.manifest import read_manifest
 from panoexec.mission_dir import MissionDirectory
+from panoexec.report import AT_ONCE_S, write_report
 
 
 def write_leavings(directory: MissionDirectory) -> None:
@@ -42,5 +43,10 @@ def _exports(directory: MissionDirectory) -> None:
     write_exports(export_set(read_manifest(directory.manifest), directory.path), directory.path)
 
 
-LEAVINGS: Final[Mapping[str, Callable[[MissionDirectory], None]]] = {"exports": _exports}
+def _report(directory: MissionDirectory) -> None:
+    """The page for people."""
+    write_report(directory, patience_s=AT_ONCE_S)
+
+
+LEAVINGS: Final[Mapping[str, Callable[[MissionDirectory], None]]] = {"exports": _exports, "report": _report}
 """Each by a name for messages; a writer raises a PanoexecError if it cannot."""

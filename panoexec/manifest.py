@@ -30,6 +30,7 @@ from panoexec.planning.model import Certificate, Plan
 from panoexec.pose_reading import pose_of, to_north
 
 FORMAT = "panoexec.manifest/1"
+_CHARGE_STEP_FRAC = 0.002
 CONVENTIONS = {
     "quaternion": "[w, x, y, z], camera (FRD: x boresight, y image right, z image bottom) to plan frame (NED)",
     "roll_pitch_yaw": "gimbal axes in the order yaw, roll, pitch (3-1-2): R = Rz(yaw) Rx(roll) Ry(pitch)",
@@ -51,6 +52,7 @@ class ManifestWriter:
         clock: paces the writing.
         certificate: asked for the certificate of the panorama as flown when the file is written.
         every_s: least time between two writings while the mission flies.
+        battery: asked for the charge, 0 to 1 or NaN, when something happens.
     """
 
     def __init__(
@@ -63,6 +65,7 @@ class ManifestWriter:
         clock: Clock,
         certificate: Callable[[], Certificate | None],
         every_s: float = 2.0,
+        battery: Callable[[], float] = lambda: math.nan,
     ) -> None:
         self._path = path
         self._plan = plan
@@ -71,6 +74,8 @@ class ManifestWriter:
         self._clock = clock
         self._certificate = certificate
         self._every_s = every_s
+        self._battery = battery
+        self._charges = _earlier_charges(path)
         self._dirty = asyncio.Event()
         self._shots: dict[int, dict[str, Any]] = {}
 
@@ -78,7 +83,14 @@ class ManifestWriter:
         """See `EventSink.publish`."""
         if isinstance(event, ev.ShotEvent):
             self._shots.pop(event.shot, None)
+        self._note_charge()
         self._dirty.set()
+
+    def _note_charge(self) -> None:
+        """Keep the charge where it changed by enough to be drawn; it is in no event, so only the manifest has it."""
+        charge = self._battery()
+        if math.isfinite(charge) and (not self._charges or abs(charge - self._charges[-1][1]) >= _CHARGE_STEP_FRAC):
+            self._charges.append((self._clock.time(), charge))
 
     async def run(self) -> None:
         """Write after changes, not too often; runs until cancelled.
@@ -138,6 +150,7 @@ class ManifestWriter:
                 "missing": list(record.missing()),
             },
             "open_loop": record.open_loop,
+            "battery": [{"time": iso_utc(time), "charge_frac": round(charge, 4)} for time, charge in self._charges],
             "warnings": list(record.warnings),
             "certificate": None if certificate is None else certificate_to_data(certificate),
             "conventions": CONVENTIONS,
@@ -161,6 +174,15 @@ def read_manifest(path: Path) -> dict[str, Any]:
     if found != FORMAT:
         raise InputFileError(str(path), [f'format: {found!r} found, "{FORMAT}" expected'])
     return document  # type: ignore[no-any-return]
+
+
+def _earlier_charges(path: Path) -> list[tuple[float, float]]:
+    """The battery's history as an earlier process left it; what cannot be read is no reason not to fly."""
+    try:
+        found = read_manifest(path).get("battery", [])
+        return [(datetime.fromisoformat(item["time"]).timestamp(), float(item["charge_frac"])) for item in found]
+    except (UsageError, KeyError, TypeError, ValueError, AttributeError):
+        return []
 
 
 def iso_utc(time_utc_s: float) -> str | None:

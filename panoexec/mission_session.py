@@ -208,6 +208,7 @@ class MissionSession:
                 vehicle=vehicle,
                 clock=clock,
                 certificate=lambda: mission.certificate,
+                battery=lambda: devices.vehicle.status.battery_frac,
             )
             voice = PilotVoice(vehicle=devices.vehicle, record=mission.record)
             sinks += [writer, voice]

@@ -37,6 +37,7 @@ VERBS: dict[str, Verb] = {
     "verify": Verb("verify", "judge any plan file: coverage, overlaps, connectivity under pointing errors"),
     "cameras": Verb("cameras", "list the camera profiles, or show one with its field of view"),
     "dry-run": Verb("dry_run", "fly a whole mission on the embedded simulated vehicle", extra="sim"),
+    "report": Verb("report", "write the report of a mission: one HTML page that opens anywhere"),
     "stitch": Verb("stitch", "stitch a mission's photos with Hugin's tools and measure completeness", extra="report"),
     "simulate": Verb("simulate", "run the simulated vehicle alone, to try a ground station or `serve`", extra="sim"),
     "serve": Verb("serve", "run the daemon that a ground station commands by MQTT"),

@@ -1,0 +1,79 @@
+"""The report of a mission: one self-contained HTML page (`report.html`) that needs no network."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from panoexec.errors import InputFileError
+from panoexec.files import write_atomically
+from panoexec.mission_dir import MissionDirectory
+from panoexec.report.data import page_data
+from panoexec.report.page import page
+from panoexec.report.panorama import panorama
+from panoexec.report.source import PhotoFile, read_source
+
+__all__ = ["AT_ONCE_S", "REPORT_NAME", "Report", "write_report"]
+
+REPORT_NAME: Final = "report.html"
+AT_ONCE_S: Final = 1.5
+"""Processor time that the quick look may take when a mission ends; asked for by hand, it takes its time."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report:
+    """A report that was written.
+
+    Attributes:
+        path: the page.
+        photos: accepted photos.
+        problems: those that are missing or damaged, with the shot's index.
+        panorama: `stitched`, `quick` or "" for none.
+        why_none: why there is no picture of the sphere.
+        notes: what of the mission could not be read.
+    """
+
+    path: Path
+    photos: int
+    problems: tuple[tuple[int, PhotoFile], ...]
+    panorama: str
+    why_none: str
+    notes: tuple[str, ...]
+
+
+def write_report(directory: MissionDirectory, *, patience_s: float = math.inf) -> Report:
+    """Write `report.html` into a mission's directory; blocks.
+
+    Args:
+        directory: with a manifest; the mission may be under way, interrupted or over.
+        patience_s: processor time that the quick look at the photos may take; else the page goes without.
+
+    Raises:
+        InputFileError: the manifest is not there, or damaged.
+        UsageError: the page cannot be written.
+    """
+    try:
+        source = read_source(directory)
+        data = page_data(source, made_utc_s=time.time())
+        picture, why_none = panorama(source, patience_s=patience_s)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        where = f"{type(error).__name__}: {error}"
+        raise InputFileError(str(directory.manifest), [f"is damaged or incomplete ({where})"]) from error
+    data["panorama"] = (
+        {"kind": "", "why": why_none}
+        if picture is None
+        else {"kind": picture.kind, "left_out": list(picture.left_out)}
+    )
+    path = directory.path / REPORT_NAME
+    write_atomically(path, page(data, picture))
+    return Report(
+        path=path,
+        photos=len(source.photos),
+        problems=tuple(source.photo_problems),
+        panorama=picture.kind if picture else "",
+        why_none="" if picture else why_none,
+        notes=source.notes,
+    )

@@ -1,0 +1,218 @@
+/* Puts the page together. */
+"use strict";
+const { mission, counts, certificate, timeline, photos, stitch } = data;
+const STATES = { complete: "good", incomplete: "warn", paused: "warn", aborted: "bad", failed: "bad" };
+const pill = (text, kind) => el("span", { class: `pill ${kind || ""}` }, text);
+const when = (stamp) => (stamp ? stamp.replace("T", " ").replace(/\.\d+/, "").replace("Z", " UTC") : null);
+const lengthOf = (t) => (t && t.started && t.finished ? seconds(((Date.parse(t.finished) - Date.parse(t.started)) / 1000) * timeline.speedup) : null);
+
+function head() {
+  const place = mission.position, spot = isNumber(place.latitude_deg)
+    ? `${Math.abs(place.latitude_deg).toFixed(5)}° ${place.latitude_deg < 0 ? "S" : "N"}, ${Math.abs(place.longitude_deg).toFixed(5)}° ${place.longitude_deg < 0 ? "W" : "E"}` : null;
+  document.getElementById("head").append(
+    el("h1", {}, `Mission ${mission.id}`), pill(mission.state, STATES[mission.state]),
+    el("p", {}, [mission.reason, when(mission.times.started), data.camera.name, spot].filter(Boolean).join(" · ")),
+  );
+}
+
+function tile(name, value, more, kind) {
+  return el("div", { class: "tile" }, el("div", { class: "name" }, name), el("div", { class: `value ${kind ? `${kind}-text` : ""}` }, value), el("div", { class: "more" }, more || ""));
+}
+function tiles() {
+  const done = counts.shots_done === counts.shots_total, rejected = data.reasons.reduce((sum, [, n]) => sum + n, 0);
+  const taken = shots.filter((shot) => shot.taken && shot.taken.error);
+  let worst = null;
+  for (const shot of taken) {
+    AXES.forEach((axis, k) => {
+      const share = Math.abs(shot.taken.error[k]) / data.tolerance_deg[axis];
+      if (isNumber(share) && (!worst || share > worst.share)) worst = { share, axis, value: shot.taken.error[k] };
+    });
+  }
+  const { samples } = data.battery, last = samples.length ? samples[samples.length - 1][1] : null;
+  const whole = certificate ? 1 - certificate.uncovered_fraction : null;
+  const ratio = isNumber(timeline.limit_s) && timeline.limit_s > 0 ? timeline.duration_s / timeline.limit_s : null;
+  document.getElementById("tiles").append(
+    tile("shots", [String(counts.shots_done), el("small", {}, ` of ${counts.shots_total}`)], done ? "all accepted" : `${counts.shots_total - counts.shots_done} missing`, done ? "good" : "bad"),
+    tile("coverage", percent(whole, 2), certificate ? (certificate.certified ? "proven as flown" : "not certified") : "not certified: the mission did not end", certificate ? (whole === 1 ? "good" : "bad") : ""),
+    tile("retakes", String(counts.retakes), rejected ? `${plural(rejected, "attempt")} rejected` : "every first attempt was good"),
+    tile("worst accepted error", worst ? `${Math.round(100 * worst.share)} %` : "–", worst ? `of τ: ${worst.axis} ${signed(worst.value)}` : "no measured attitude", worst && worst.share > 1 ? "warn" : ""),
+    tile("shooting time", seconds(timeline.duration_s), ratio ? `${ratio.toFixed(2)} × the physical limit` : "limit not known"),
+    tile("battery", percent(last, 0), samples.length > 1 ? `from ${percent(samples[0][1], 0)}` : "no history"),
+  );
+}
+
+function shotCard(shot) {
+  if (!shot) {
+    return [el("h3", {}, "Footprints"), el("p", {}, shots.length ? "Point at a footprint to see its figures; click to keep it. Drag to turn; arrow keys turn, + and − zoom." : "The mission has no shots."), el("div", { class: "steps" }, stepButtons(null))];
+  }
+  const [pitch, yaw] = shot.target, taken = shot.taken, north = mission.reference.yaw_north_deg || 0;
+  const kinds = { accepted: "good", missed: "bad", skipped: "warn" };
+  const pose = (p, y) => `pitch ${degrees(p)}, yaw ${degrees(y)}` + (north ? ` (true ${degrees(((y + north) % 360 + 360) % 360)})` : "");
+  const rows = [["target", pose(pitch, yaw)]];
+  if (taken && taken.pose) rows.push(["measured", `${pose(taken.pose[0], taken.pose[2])}, roll ${degrees(taken.pose[1])}`]);
+  if (taken && taken.error) AXES.forEach((axis, k) => rows.push([`${axis} error`, [`${signed(taken.error[k])} of ±${data.tolerance_deg[axis]}°`, errorBar(taken.error[k], data.tolerance_deg[axis])]]));
+  if (taken) rows.push(["evidence", taken.evidence.replaceAll("_", " ")]);
+  if (taken && taken.by && taken.by !== "tolerance") rows.push(["accepted by", taken.by.replaceAll("_", " ")]);
+  if (shot.photo) rows.push(["photo", photoLink(shot.photo)]);
+  if (!taken && shot.reason) rows.push(["reason", shot.reason]);
+  const others = shot.attempts.filter((attempt) => attempt !== taken);
+  return [
+    el("h3", {}, el("span", {}, `Shot ${shot.i}${shot.patch ? ", a patch" : ""}`), pill(taken ? (taken.n > 1 ? `accepted at attempt ${taken.n}` : "accepted") : shot.status, taken ? "good" : kinds[shot.status])),
+    facts([...rows, ...others.map((attempt) => [`attempt ${attempt.n}`, `${attempt.verdict}${attempt.reason ? `: ${attempt.reason}` : ""}`])]),
+    el("div", { class: "steps" }, stepButtons(shot)),
+  ];
+}
+function errorBar(value, tau) {
+  const share = Math.max(-1, Math.min(1, value / tau / 1.5)), width = Math.max(1.5, 50 * Math.abs(share));
+  return el("div", { class: "bar" }, el("i", { class: Math.abs(value) > tau ? "over" : "", style: { left: `${share < 0 ? 50 - width : 50}%`, width: `${width}%` } }));
+}
+function photoLink(photo) {
+  const name = photo.name || "not named";
+  return photo.href ? el("a", { href: photo.href, target: "_blank", rel: "noopener" }, name) : `${name} ${photo.problem}`;
+}
+function stepButtons(shot) {
+  const order = shots.map((s) => s.i), at = shot ? order.indexOf(shot.i) : -1;
+  const go = (k) => choose(byIndex.get(order[(k + order.length) % order.length]), { pin: true, show: true });
+  const buttons = [el("button", { class: "plain", onclick: () => go(at < 0 ? -1 : at - 1) }, "← previous"), el("button", { class: "plain", onclick: () => go(at + 1) }, "next →")];
+  if (shot && chosen.pinned) buttons.push(el("button", { class: "plain", onclick: () => { chosen.pinned = false; choose(null); } }, "let go"));
+  return order.length ? buttons : [];
+}
+
+function sphere() {
+  const canvas = el("canvas", { id: "ball", tabindex: 0, role: "img", "aria-label": "Map of the sphere with the footprint of every shot; arrow keys turn it" });
+  const details = el("div", { class: "shot-card", "aria-live": "polite" });
+  const toolbar = el("div", { class: "toolbar" }), legend = el("div", { class: "legend" });
+  card("sphere", "Sphere map", "Every footprint as it was measured. The ball is seen from where the drone was, so pictures are the right way round.",
+    toolbar, el("div", { class: "globe" }, el("div", {}, canvas, legend), details));
+  const map = new SphereMap(canvas);
+  const entry = (text, name, stroke) => el("span", { class: stroke ? "stroke" : "", style: { "--swatch": `var(--${name})` } }, text);
+  const relabel = () => {
+    const kinds = new Set(shots.map((shot) => shot.kind)), gap = certificate ? certificate.uncovered_fraction > 0 : true;
+    legend.replaceChildren(...[
+      ...(map.paint === "coverage" ? [1, 2, 3].map((k) => entry(plural(k, "image"), `c${k}`)).concat(entry("4 or more", "c4"), gap ? entry("gap", "c0") : null, entry("not asked for", "outside")) : []),
+      kinds.has("retaken") ? entry("accepted after a retake", "warn", true) : null, kinds.has("patch") ? entry("patch shot", "patch", true) : null,
+      kinds.has("missing") ? entry("missing", "bad", true) : null,
+    ].filter(Boolean));
+  };
+  const choice = (key, options, act) => {
+    const buttons = options.map(([value, text]) => el("button", { "data-choice": value, onclick: () => { act(value); refresh(); } }, text));
+    const refresh = () => { buttons.forEach((b) => b.setAttribute("aria-pressed", String(map[key] === b.dataset.choice))); relabel(); };
+    refresh();
+    return el("span", { class: "toggle" }, buttons);
+  };
+  const refill = () => {
+    toolbar.replaceChildren(
+      choice("view", [["ball", "Ball"], ["map", "Flat map"]], (value) => map.show(value)),
+      map.textures.photos ? choice("paint", [["photos", "Photos"], ["coverage", "Coverage"]], (value) => { map.paint = value; map.ask(); }) : "",
+      el("span", { class: "toggle" }, el("button", { "aria-label": "zoom out", onclick: () => map.zoomBy(1 / 1.3) }, "−"), el("button", { "aria-label": "zoom in", onclick: () => map.zoomBy(1.3) }, "+")),
+    );
+  };
+  refill();
+  chosen.listeners.push((shot) => details.replaceChildren(...shotCard(shot)));
+  details.replaceChildren(...shotCard(null));
+  return { usePicture: (image) => { map.usePicture(image); refill(); } };
+}
+
+function proof() {
+  if (!certificate) {
+    card("certificate", "Certificate", "The panorama as flown was not certified: the mission did not come that far.");
+    return;
+  }
+  const check = (ok, text, more) => el("div", { class: "check" }, el("b", { class: ok === null ? "" : ok ? "good-text" : "bad-text" }, ok === null ? "·" : ok ? "✓" : "✗"), el("span", {}, text, more ? el("small", {}, more) : null));
+  const overlap = (value, asked) => (value === null || value === undefined ? null : asked === undefined ? true : value >= asked || certificate.certified);
+  const [h, v] = data.band.overlap || [undefined, undefined];
+  card("certificate", "Certificate of the panorama as flown", "Computed from the measured attitudes, exactly, not by sampling.",
+    el("p", {}, pill(certificate.certified ? "certified" : "not certified", certificate.certified ? "good" : "bad"), ` ${plural(certificate.images, "image")}`),
+    check(certificate.uncovered_fraction === 0, certificate.uncovered_fraction === 0 ? "Every direction asked for is in a photo" : `${percent(1 - certificate.uncovered_fraction, 3)} of the band is covered`, certificate.holes.length ? `${plural(certificate.holes.length, "hole")}, the largest ${degrees(certificate.holes[0].size_deg)} across` : null),
+    check(overlap(certificate.min_overlap_h, h), `Neighbours in a row overlap by ${percent(certificate.min_overlap_h)} at least`, h === undefined ? null : `asked for: ${percent(h)}`),
+    check(overlap(certificate.min_overlap_v, v), `Rows overlap by ${percent(certificate.min_overlap_v)} at least`, v === undefined ? null : `asked for: ${percent(v)}`),
+    check(certificate.connected, certificate.connected ? "All images hang together" : "The images fall apart into groups"),
+    check(certificate.two_edge_connected, certificate.two_edge_connected ? "and still do when any one tie fails" : `${plural(certificate.bridges.length, "tie")} would disconnect the panorama`),
+    certificate.failures.length ? el("ul", { class: "texts" }, certificate.failures.map((text) => el("li", {}, text))) : null);
+}
+
+function retakes() {
+  const bad = attempts.filter((item) => item.verdict === "rejected" || item.verdict === "interrupted");
+  if (!bad.length) {
+    card("retakes", "Retakes", counts.attempts ? "None: every attempt was accepted." : "No shot was tried.");
+    return;
+  }
+  card("retakes", "Retakes and their reasons", `${plural(counts.attempts, "attempt")} at ${plural(counts.shots_total, "shot")}.`,
+    el("div", {}, data.reasons.map(([code, n]) => [pill(`${n} × ${words(code)}`, "bad"), " "])),
+    el("div", { class: "scroll" }, el("table", {}, el("thead", {}, el("tr", {}, el("th", { class: "num" }, "shot"), el("th", { class: "num" }, "attempt"), el("th", {}, "reason"))),
+      el("tbody", {}, bad.map((item) => el("tr", { class: "hit" }, el("td", { class: "num" }, String(item.shot.i)), el("td", { class: "num" }, String(item.n)), el("td", {}, item.reason || item.verdict)))))));
+}
+
+function photoProblems() {
+  const texts = [...data.notes];
+  if (data.panorama.left_out && data.panorama.left_out.length) texts.push(`left out of the quick look: ${data.panorama.left_out.join(", ")}`);
+  if (!photos.problems.length && !texts.length && data.panorama.kind) return;
+  card("photos", "Photos", `${photos.usable} of ${photos.accepted} accepted photos are in the mission's directory and whole.`,
+    photos.problems.length ? el("div", { class: "scroll" }, el("table", {}, el("tbody", {}, photos.problems.map((p) => el("tr", {}, el("th", {}, `shot ${p.shot}`), el("td", {}, `${p.name || "photo"} ${p.problem}`)))))) : null,
+    data.panorama.kind ? null : el("p", { class: "lead" }, `No picture of the sphere: ${data.panorama.why}.`),
+    texts.length ? el("ul", { class: "texts" }, texts.map((text) => el("li", {}, text))) : null);
+}
+
+function stitching() {
+  if (!stitch) return;
+  const c = stitch.completeness, untied = stitch.untied || [];
+  card("stitching", "Stitching", null, facts([
+    ["completeness", `${percent(c.fraction, 2)} of the ground (equation 8)`], ["photos", `${stitch.images} stitched, ${untied.length} not tied`],
+    ["not tied", untied.join(", ")], ["alignment", `${stitch.points} points, ${isNumber(stitch.rms_px) ? stitch.rms_px.toFixed(2) : "–"} px rms`],
+    ["panorama", stitch.canvas_px ? `${stitch.canvas_px[0]} × ${stitch.canvas_px[1]} px` : null],
+    ["time", Object.entries(stitch.seconds || {}).map(([step, s]) => `${step} ${seconds(s)}`).join(", ")],
+  ]));
+}
+
+function batteryAndFacts() {
+  const holder = el("div", {});
+  if (data.battery.samples.length) {
+    card("battery", "Battery", null, holder);
+    drawBattery(holder);
+  } else card("battery", "Battery", "The vehicle did not say.");
+  const { hfov_deg: h, vfov_deg: v, image_px: px } = data.camera, tau = data.tolerance_deg;
+  card("facts", "Mission", null, facts([
+    ["started", when(mission.times.started)], ["finished", when(mission.times.finished)], ["duration", lengthOf(mission.times)],
+    ["restarts", mission.times.restarts ? String(mission.times.restarts) : null],
+    ["camera", `${data.camera.name}, ${degrees(h, 1)} × ${degrees(v, 1)}, ${px[0]} × ${px[1]} px`],
+    ["tolerance τ", `pitch ±${tau.pitch}°, roll ±${tau.roll}°, yaw ±${tau.yaw}°`],
+    ["band", data.band.known ? `elevation ${degrees(data.band.elevation[0], 1)} to ${degrees(data.band.elevation[1], 1)}` : null],
+    ["yaw 0", mission.reference.kind === "heading" ? `the heading at the start, ${degrees(mission.reference.yaw_north_deg, 1)} from north` : "true north"],
+    ...Object.entries(mission.vehicle).map(([key, value]) => [key.replaceAll("_", " "), String(value)]),
+  ]), mission.warnings.length ? el("ul", { class: "texts" }, mission.warnings.map((text) => el("li", {}, text))) : null,
+  mission.open_loop ? el("p", { class: "lead" }, "Flown without attitude feedback: poses are believed, not measured.") : null);
+}
+
+function main() {
+  head();
+  tiles();
+  const ball = sphere(), source = panoramaImage();
+  if (source) {
+    showPanorama(source);
+    const image = new Image();
+    image.onload = () => ball.usePicture(image);
+    image.src = source;
+  }
+  const legend = (entries) => el("div", { class: "legend" }, entries.map(([text, name]) => el("span", { style: { "--swatch": `var(--${name})` } }, text)));
+  const points = el("div", {});
+  if (attempts.some((item) => item.error)) {
+    card("pointing", "Pointing error of every attempt", "The worst of each exposure, measured minus target. The green band is the tolerance τ; open red marks are rejected attempts, triangles lie beyond the scale.", points);
+    drawPointing(points);
+  } else card("pointing", "Pointing error of every attempt", "No attempt has a measured attitude.");
+  const totals = el("div", {}), columns = el("div", {});
+  if (attempts.some((item) => item.times)) {
+    card("timeline", "Where the time went", "Each column is one attempt; the black line is the least time that gimbal, settle time, exposure and camera interval allow. Red dots are rejected attempts.", totals,
+      legend([["slew", "slew"], ["settle", "settle"], ["expose", "expose"], ["wait", "wait"], ...(timeline.totals_s.paused ? [["paused", "paused"]] : [])]), columns,
+      el("p", { class: "lead", style: { margin: "8px 0 0" } }, "Measured: start, settled, end of the exposure. The slew is counted as the least time it can take, the rest before the trigger as settling, or as waiting where the camera's interval was the last to end." + (timeline.speedup !== 1 ? ` Simulated seconds, flown ${timeline.speedup} times as fast.` : "")));
+    drawTotals(totals);
+    drawTimeline(columns);
+  } else card("timeline", "Where the time went", "No attempt has begun.");
+  proof();
+  retakes();
+  photoProblems();
+  stitching();
+  batteryAndFacts();
+  document.getElementById("foot").textContent = `Written by panoexec ${data.made.version}, ${when(data.made.time.replace("+00:00", "Z"))}.` + (data.panorama.kind ? " Panorama viewer: Pannellum (MIT licence)." : "");
+  document.documentElement.dataset.ready = "yes";
+}
+main();

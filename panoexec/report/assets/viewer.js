@@ -1,0 +1,42 @@
+/* The panorama in a viewer, with a spot for each photo that opens the original beside this page. */
+"use strict";
+function panoramaImage() {
+  const block = document.getElementById("panorama-jpeg");
+  return block ? `data:image/jpeg;base64,${block.textContent}` : null;
+}
+function hasWebgl() {
+  try {
+    const sheet = document.createElement("canvas");
+    return Boolean(sheet.getContext("webgl") || sheet.getContext("experimental-webgl"));
+  } catch { return false; }
+}
+function showPanorama(source) {
+  const stitched = data.panorama.kind === "stitched", holder = el("div", { id: "viewer" });
+  const lead = stitched
+    ? "Stitched from the originals. Drag to look around; a spot opens the photo that was taken there."
+    : "A quick look: the photos where their measured attitudes put them, not stitched yet (panoexec stitch does that). Drag to look around; a spot opens its photo.";
+  const section = card("panorama", stitched ? "Panorama" : "Panorama, a quick look", lead, holder);
+  const flat = () => {
+    section.classList.add("viewer-off");
+    holder.replaceChildren(el("img", { src: source, alt: "The panorama as a flat map of the whole sphere" }));
+  };
+  if (!hasWebgl() || !window.pannellum) { flat(); return; }
+  const first = shots.find((shot) => shot.taken), [low, high] = data.band.elevation;
+  const spots = shots.filter((shot) => shot.taken && shot.photo && shot.photo.href).map((shot) => ({
+    pitch: elevationOf(shot.boresight),
+    yaw: azimuthOf(shot.boresight),
+    text: `shot ${shot.i}: ${shot.photo.name}`,
+    URL: shot.photo.href,
+    cssClass: "pnlm-shot",
+    attributes: { target: "_blank", rel: "noopener", "data-shot": String(shot.i) },
+  }));
+  try {
+    const viewer = window.pannellum.viewer(holder, {
+      type: "equirectangular", panorama: source, autoLoad: true, escapeHTML: true, showFullscreenCtrl: true, mouseZoom: "fullscreenonly",
+      yaw: first ? azimuthOf(first.boresight) : 0, pitch: Math.max(low + 25, Math.min(high - 15, -12)), hfov: 95, minHfov: 20,
+      compass: true, northOffset: data.mission.reference.yaw_north_deg || 0, backgroundColor: [0.12, 0.13, 0.15], hotSpots: spots,
+    });
+    viewer.on("load", () => { document.documentElement.dataset.viewer = "loaded"; });
+    viewer.on("error", flat);
+  } catch { flat(); }
+}

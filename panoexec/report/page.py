@@ -1,0 +1,88 @@
+"""The page itself: one HTML file with its data, pictures, styles and scripts inside; nothing is fetched.
+
+All texts of the mission travel in a block of JSON whose `<`, `>` and `&` are escaped, and the scripts put them on the
+page as text, never as markup. A content security policy with the scripts' digests keeps anything else from running.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import json
+import re
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from typing import Any, Final
+
+from panoexec.report.panorama import Panorama
+
+_SCRIPTS: Final = ("core.js", "sphere.js", "charts.js", "viewer.js", "main.js")
+_VIEWER_SCRIPTS: Final = ("pannellum/libpannellum.js", "pannellum/pannellum.js")
+
+
+def page(data: Mapping[str, Any], panorama: Panorama | None) -> str:
+    """The HTML.
+
+    Args:
+        data: from `page_data`; with key `panorama` told what the picture is.
+        panorama: the picture of the sphere, if there is one.
+    """
+    scripts = [asset(name) for name in ((*_VIEWER_SCRIPTS, *_SCRIPTS) if panorama else _SCRIPTS)]
+    styles = asset("report.css") + (_viewer_styles() if panorama else "")
+    digests = " ".join(f"'sha256-{_digest(script)}'" for script in scripts)
+    policy = (
+        f"default-src 'none'; script-src {digests}; style-src 'unsafe-inline'; img-src data: blob:;"
+        " connect-src data: blob:; base-uri 'none'; form-action 'none'"
+    )
+    mission, counts = data["mission"], data["counts"]
+    summary = f"{mission['state']}: {counts['shots_done']} of {counts['shots_total']} shots. {mission['reason']}"
+    parts = {
+        "policy": html.escape(policy, quote=True),
+        "title": html.escape(f"{mission['id']} · {mission['state']} · panoexec"),
+        "noscript": html.escape(summary),
+        "style": f"<style>{styles}</style>",
+        "data": f'<script type="application/json" id="data">{embedded_json(data)}</script>',
+        "picture": _picture(panorama),
+        "scripts": "\n".join(f"<script>{script}</script>" for script in scripts),
+    }
+    # one pass: what is put in is never looked through for place-holders
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], asset("page.html"))
+
+
+def embedded_json(data: object) -> str:
+    """JSON that can stand inside a script element, whatever texts are in it."""
+    text = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    for character in "<>&\u2028\u2029":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return text
+
+
+@cache
+def asset(name: str) -> str:
+    """A text file of the package's assets; a script's end tag inside one would end it."""
+    return (files("panoexec.report") / "assets" / name).read_text(encoding="utf-8")
+
+
+def _digest(script: str) -> str:
+    # a browser takes the digest of the text after its newlines were normalised
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+
+
+def _picture(panorama: Panorama | None) -> str:
+    if panorama is None:
+        return ""
+    coded = base64.b64encode(panorama.jpeg).decode()
+    return f'<script type="text/plain" id="panorama-jpeg">{coded}</script>'
+
+
+@cache
+def _viewer_styles() -> str:
+    """The viewer's styles with their pictures inside."""
+
+    def inline(match: re.Match[str]) -> str:
+        coded = base64.b64encode(asset(f"pannellum/{match[1]}").encode()).decode()
+        return f"url('data:image/svg+xml;base64,{coded}')"
+
+    return re.sub(r"url\('(img/\w+\.svg)'\)", inline, asset("pannellum/pannellum.css"))

@@ -1,0 +1,198 @@
+"""The picture of the whole sphere that a report shows: the stitched one, else a quick look made on the spot.
+
+The quick look puts each accepted photo where its measured attitude says, feathered, without any search for control
+points: seams show, holes show, and no tool but Pillow is needed.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from panoexec.angles import FloatArray, rotation_from_quaternion
+from panoexec.report.source import Source
+
+QUICK_WIDTH_PX: Final = 2048
+STITCHED_WIDTH_PX: Final = 4096
+_AS_IT_IS_BYTES: Final = 4 << 20
+"""A stitched preview up to this size is embedded unchanged where there is no Pillow to make it smaller."""
+_WARM: Final = 3
+"""Photos before the time of a quick look is worked out; the first ones are slower."""
+_EMPTY: Final = (30, 33, 39)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Panorama:
+    """An equirectangular JPEG of the whole sphere, its middle at the plan's yaw 0.
+
+    Attributes:
+        jpeg: the file's content.
+        kind: `stitched`, or the `quick` look.
+        left_out: photos of a quick look that could not be read.
+    """
+
+    jpeg: bytes
+    kind: Literal["stitched", "quick"]
+    left_out: tuple[str, ...] = ()
+
+
+def panorama(source: Source, *, patience_s: float = math.inf) -> tuple[Panorama | None, str]:
+    """The best picture there is, and if there is none, why.
+
+    Args:
+        source: the mission.
+        patience_s: how much processor time a quick look may take; one that would take longer is given up.
+    """
+    try:
+        import PIL.Image  # noqa: F401, PLC0415 - optional dependency
+    except ImportError:
+        return _stitched_as_it_is(source), "needs Pillow: pip install 'panoexec[report]', then `panoexec report`"
+    stitched = _stitched(source)
+    if stitched is not None:
+        return stitched, ""
+    return _quick_look(source, patience_s)
+
+
+def _stitched_path(source: Source) -> Path | None:
+    if source.stitch is None:
+        return None
+    # a bare name: what stitch.json says must not lead anywhere else
+    path = source.folder / "stitch" / Path(str(source.stitch.get("preview", "panorama.jpg"))).name
+    return path if path.is_file() else None
+
+
+def _stitched_as_it_is(source: Source) -> Panorama | None:
+    path = _stitched_path(source)
+    if path is None or path.stat().st_size > _AS_IT_IS_BYTES:
+        return None
+    return Panorama(jpeg=path.read_bytes(), kind="stitched")
+
+
+def _stitched(source: Source) -> Panorama | None:
+    import PIL.Image  # noqa: PLC0415 - optional dependency
+
+    path = _stitched_path(source)
+    if path is None:
+        return None
+    try:
+        with PIL.Image.open(path) as picture:
+            picture.draft("RGB", (STITCHED_WIDTH_PX, STITCHED_WIDTH_PX // 2))
+            small = picture.convert("RGB")
+    except (OSError, SyntaxError, ValueError):
+        return None
+    if small.width > STITCHED_WIDTH_PX:
+        small = small.resize((STITCHED_WIDTH_PX, STITCHED_WIDTH_PX // 2))
+    return Panorama(jpeg=_encoded(small), kind="stitched")
+
+
+def _quick_look(source: Source, patience_s: float) -> tuple[Panorama | None, str]:
+    shots = [shot for shot in _poses(source) if not source.photos[shot[0]].problem]
+    if not shots:
+        return None, "there are no photos to look at"
+    canvas = _Canvas(source.manifest["camera"], QUICK_WIDTH_PX)
+    left_out: list[str] = []
+    # of this thread's work alone: a busy computer is no reason to go without
+    started = time.thread_time()
+    for done, (index, pose) in enumerate(shots):
+        name = source.photos[index].name
+        try:
+            canvas.add(source.folder / name, pose)
+        except (OSError, SyntaxError, ValueError):
+            left_out.append(name)
+        expected_s = (time.thread_time() - started) / (done + 1) * len(shots)
+        if expected_s > patience_s and _WARM <= done < len(shots) // 2:
+            return None, "the photos are too large to be looked through at once: run `panoexec report`, or stitch"
+    if len(left_out) == len(shots):
+        return None, "no photo can be read"
+    return Panorama(jpeg=canvas.jpeg(), kind="quick", left_out=tuple(left_out)), ""
+
+
+def _poses(source: Source) -> list[tuple[int, FloatArray]]:
+    """Index and attitude (3, 3) of each accepted shot: measured, else as planned."""
+    found = []
+    for shot in source.manifest["shots"]:
+        attempt = next((a for a in shot["attempts"] if a["number"] == shot.get("accepted_attempt")), None)
+        if attempt is not None:
+            pose = attempt.get("measured") or shot["target"]
+            found.append((int(shot["index"]), rotation_from_quaternion(pose["quaternion"])))
+    return found
+
+
+class _Canvas:
+    """Photos added up on an equirectangular picture, each weighed by how deep inside it a direction is."""
+
+    def __init__(self, camera: dict[str, Any], width_px: int) -> None:
+        self._half_width = float(camera["sensor_width_mm"]) / (2 * float(camera["focal_length_mm"]))
+        self._half_height = float(camera["sensor_height_mm"]) / (2 * float(camera["focal_length_mm"]))
+        self._width, self._height = width_px, width_px // 2
+        self._sum = np.zeros((self._height, self._width, 3), dtype=np.float32)
+        self._weight = np.zeros((self._height, self._width), dtype=np.float32)
+        self._elevation = np.radians(90 - (np.arange(self._height) + 0.5) / self._height * 180).astype(np.float32)
+        self._azimuth = np.radians((np.arange(self._width) + 0.5) / self._width * 360 - 180).astype(np.float32)
+
+    def add(self, path: Path, pose: FloatArray) -> None:
+        """Add a photo.
+
+        Raises:
+            OSError, SyntaxError, ValueError: it cannot be read.
+        """
+        picture = self._read(path)
+        rows, columns = self._window(pose)
+        elevation, azimuth = self._elevation[rows][:, None], self._azimuth[columns][None, :]
+        r = pose.astype(np.float32)
+        flat, down = np.cos(elevation), -np.sin(elevation)
+        north, east = np.cos(azimuth), np.sin(azimuth)
+        x, y, z = (flat * (r[0, k] * north + r[1, k] * east) + r[2, k] * down for k in range(3))
+        ahead = np.maximum(x, np.float32(1e-6))
+        across, along = y / ahead / self._half_width, z / ahead / self._half_height
+        inside = np.flatnonzero((x > 0) & (np.abs(across) < 1) & (np.abs(along) < 1))
+        across, along = across.ravel()[inside], along.ravel()[inside]
+        height, width = picture.shape[:2]
+        pixels = picture[((along + 1) / 2 * height).astype(np.intp), ((across + 1) / 2 * width).astype(np.intp)]
+        weight = ((1 - np.abs(across)) * (1 - np.abs(along)) + np.float32(1e-4)) ** 2
+        target = (rows[inside // len(columns)], columns[inside % len(columns)])
+        self._sum[target] += pixels * weight[:, None]
+        self._weight[target] += weight
+
+    def jpeg(self) -> bytes:
+        """The picture so far."""
+        import PIL.Image  # noqa: PLC0415 - optional dependency
+
+        out = (self._sum / np.maximum(self._weight, np.float32(1e-12))[..., None] + np.float32(0.5)).astype(np.uint8)
+        out[self._weight == 0] = _EMPTY
+        return _encoded(PIL.Image.fromarray(out))
+
+    def _read(self, path: Path) -> np.ndarray[Any, np.dtype[np.uint8]]:
+        """A photo, upright, about as fine as the canvas."""
+        import PIL.Image  # noqa: PLC0415 - optional dependency
+        import PIL.ImageOps  # noqa: PLC0415 - optional dependency
+
+        wanted = max(32, round(self._width / math.pi * max(self._half_width, self._half_height)))
+        with PIL.Image.open(path) as picture:
+            picture.draft("RGB", (wanted, wanted))
+            upright = PIL.ImageOps.exif_transpose(picture)
+            return np.asarray(upright.convert("RGB"))
+
+    def _window(self, pose: FloatArray) -> tuple[np.ndarray[Any, np.dtype[np.intp]], np.ndarray[Any, Any]]:
+        """Rows and columns of the canvas that the photo may reach."""
+        reach = math.atan(math.hypot(self._half_width, self._half_height))
+        level = math.asin(max(-1.0, min(1.0, -float(pose[2, 0]))))
+        rows = np.flatnonzero(np.abs(self._elevation - level) <= reach)
+        if abs(level) + reach >= math.pi / 2 - 0.01:
+            return rows, np.arange(self._width)
+        spread = math.asin(min(1.0, math.sin(reach) / math.cos(level)))
+        middle = math.atan2(float(pose[1, 0]), float(pose[0, 0]))
+        away = np.abs((self._azimuth - middle + math.pi) % (2 * math.pi) - math.pi)
+        return rows, np.flatnonzero(away <= spread)
+
+
+def _encoded(picture: Any) -> bytes:
+    out = io.BytesIO()
+    picture.save(out, "JPEG", quality=84)
+    return out.getvalue()

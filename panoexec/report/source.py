@@ -1,0 +1,136 @@
+"""What a report is made from: manifest, plan, journal, photos and stitching result of one mission directory."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from panoexec.codec import decode
+from panoexec.errors import UsageError
+from panoexec.events import Event
+from panoexec.exports.model import local_name
+from panoexec.jpeg_header import read_jpeg_header
+from panoexec.journal import read_journal
+from panoexec.manifest import read_manifest
+from panoexec.mission.settings import MissionSettings
+from panoexec.mission_dir import MissionDirectory
+from panoexec.planfile import PlanFile, read_plan_file
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhotoFile:
+    """A photo that the manifest names.
+
+    Attributes:
+        name: as it lies, or should lie, in the mission directory; "" if nobody named it.
+        problem: why it cannot be used, "" if it can.
+    """
+
+    name: str
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Source:
+    """Everything that is known of a mission.
+
+    Attributes:
+        folder: its directory.
+        manifest: `panoexec.manifest/1`.
+        plan: as asked for; None if there is none, or it cannot be read.
+        settings: as flown; None without a journal.
+        events: of the journal; empty without one.
+        speedup: how much faster than the wall clock the mission's seconds went (dry-runs).
+        photos: by shot index, of the accepted attempt.
+        stitch: `panoexec.stitch/1` if the mission was stitched.
+        notes: what could not be read, for people.
+    """
+
+    folder: Path
+    manifest: Mapping[str, Any]
+    plan: PlanFile | None = None
+    settings: MissionSettings | None = None
+    events: tuple[Event, ...] = ()
+    speedup: float = 1.0
+    photos: Mapping[int, PhotoFile] = field(default_factory=dict)
+    stitch: Mapping[str, Any] | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def photo_problems(self) -> list[tuple[int, PhotoFile]]:
+        """Accepted shots whose photo is missing or damaged, in order."""
+        return [(index, photo) for index, photo in sorted(self.photos.items()) if photo.problem]
+
+
+def read_source(directory: MissionDirectory) -> Source:
+    """Read a mission's directory; only the manifest must be there and sound.
+
+    Raises:
+        InputFileError: the manifest is not there, or damaged.
+    """
+    manifest = read_manifest(directory.manifest)
+    notes: list[str] = []
+    plan, settings, events, speedup = None, None, (), 1.0
+    try:
+        plan = read_plan_file(directory.plan)
+    except UsageError as error:
+        notes.append(f"without the plan's constraints: {error}")
+    try:
+        head, found = read_journal(directory.journal)
+        events = tuple(found)
+        settings = decode(MissionSettings, json.loads(head["settings"]))
+        speedup = _speedup(json.loads(head.get("extra", "{}")))
+    except (UsageError, KeyError, ValueError) as error:
+        notes.append(f"without the journal's times: {error}")
+    return Source(
+        folder=directory.path,
+        manifest=manifest,
+        plan=plan,
+        settings=settings,
+        events=events,
+        speedup=speedup,
+        photos=_photos(manifest, directory.path),
+        stitch=_stitch(directory.path / "stitch" / "stitch.json"),
+        notes=tuple(notes),
+    )
+
+
+def _speedup(extra: object) -> float:
+    try:
+        return max(1e-3, float(extra["simulation"]["speedup"]))  # type: ignore[index]
+    except (KeyError, TypeError, ValueError):
+        return 1.0
+
+
+def _photos(manifest: Mapping[str, Any], folder: Path) -> dict[int, PhotoFile]:
+    found = {}
+    for shot in manifest["shots"]:
+        if shot.get("accepted_attempt") is not None:
+            found[int(shot["index"])] = _photo(local_name(folder, str(shot.get("file") or "")), folder)
+    return found
+
+
+def _photo(name: str, folder: Path) -> PhotoFile:
+    if not name:
+        return PhotoFile(name="", problem="nobody named its file")
+    path = folder / name
+    if not path.is_file():
+        return PhotoFile(name=name, problem="is missing")
+    if path.suffix.lower() not in {".jpg", ".jpeg"}:
+        return PhotoFile(name=name)
+    try:
+        complete = read_jpeg_header(path).complete
+    except (OSError, ValueError) as error:
+        return PhotoFile(name=name, problem=str(error))
+    return PhotoFile(name=name, problem="" if complete else "is truncated")
+
+
+def _stitch(path: Path) -> Mapping[str, Any] | None:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return document if isinstance(document, dict) and document.get("format") == "panoexec.stitch/1" else None

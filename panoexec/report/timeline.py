@@ -1,0 +1,241 @@
+"""Where a mission's time went, attempt by attempt, beside the physical limit.
+
+What is measured: when an attempt began, when everything that the trigger waited for was there, when the exposure was
+over (journal). How the time before the trigger splits is worked out from the least slew that the gimbal's rates and
+accelerations allow: the slew is that time; where the camera's interval was the last to end, settling took the settle
+time and the rest is waiting for the camera; else all the rest is settling.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Final
+
+from panoexec import events as ev
+from panoexec.mission.limit import limit_steps_s
+from panoexec.mission.settings import MissionSettings
+from panoexec.planning.duration import slew_time_s
+from panoexec.planning.model import GimbalLimits, Shot
+from panoexec.report.source import Source
+
+_INTERVAL_RULES_S: Final = 0.15
+"""A trigger this soon after the camera was ready again waited for the camera."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttemptTimes:
+    """One attempt, seconds of the mission.
+
+    Attributes:
+        shot, number: which.
+        start_s: since the first attempt began, without the time that no process flew.
+        slew_s, settle_s, wait_s, expose_s: phases one after the other from there.
+        after_s: from the exposure's end to the next attempt (evidence, pauses), 0 for the last.
+        paused_s: part of `after_s` in which the mission was paused.
+        limit_s: the least time that the shot needs after the one before; 0 for a retake.
+    """
+
+    shot: int
+    number: int
+    start_s: float
+    slew_s: float
+    settle_s: float
+    wait_s: float
+    expose_s: float
+    after_s: float
+    paused_s: float
+    limit_s: float
+
+    @property
+    def end_s(self) -> float:
+        """When the exposure was over."""
+        return self.start_s + self.slew_s + self.settle_s + self.wait_s + self.expose_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Timeline:
+    """All attempts in the order begun.
+
+    Attributes:
+        attempts: their times.
+        duration_s: from the first slew to the last exposure's end.
+        limit_s: the physical limit for the same shots in the same order; NaN if not known.
+    """
+
+    attempts: tuple[AttemptTimes, ...]
+    duration_s: float
+    limit_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Begun:
+    shot: int
+    number: int
+    entry: Mapping[str, Any]
+    start_s: float
+
+
+def timeline(source: Source) -> Timeline:
+    """Work it out from the manifest, with the journal's times where there is one."""
+    axis = _Axis(source)
+    begun = sorted(
+        (
+            _Begun(int(shot["index"]), int(attempt["number"]), attempt, axis.at(_utc_s(attempt.get("started"))))
+            for shot in source.manifest["shots"]
+            for attempt in shot["attempts"]
+            if math.isfinite(_utc_s(attempt.get("started")))
+        ),
+        key=lambda item: item.start_s,
+    )
+    if not begun:
+        return Timeline(attempts=(), duration_s=0.0, limit_s=math.nan)
+    limits = _limits(begun, source.settings)
+    origin = begun[0].start_s
+    found: list[AttemptTimes] = []
+    ready_s = -math.inf
+    for number, item in enumerate(begun):
+        before = begun[number - 1] if number else None
+        following = begun[number + 1].start_s if number + 1 < len(begun) else None
+        times, ready_s = _times(item, before, following, ready_s, axis, source.settings)
+        found.append(_moved(times, origin, limits.get((item.shot, item.number), 0.0)))
+    limit_s = sum(limits.values()) if limits else math.nan
+    return Timeline(attempts=tuple(found), duration_s=found[-1].end_s, limit_s=limit_s)
+
+
+def _times(  # noqa: PLR0917  (private)
+    item: _Begun,
+    before: _Begun | None,
+    following: float | None,
+    ready_s: float,
+    axis: _Axis,
+    settings: MissionSettings | None,
+) -> tuple[AttemptTimes, float]:
+    """One attempt on the axis, and when the camera is ready again."""
+    settle_least_s = settings.settle_s if settings else 0.3
+    exposed = item.entry.get("slew_settle_s")
+    ended = axis.ended.get((item.shot, item.number))
+    until_s = following if following is not None else math.inf
+    if exposed is None:
+        # it never came to a photo: all of it was pointing
+        to_trigger_s = max(0.0, min(until_s, ended if ended is not None else until_s) - item.start_s)
+        to_trigger_s = to_trigger_s if math.isfinite(to_trigger_s) else 0.0
+        expose_s, trigger_s = 0.0, math.nan
+    else:
+        to_trigger_s = float(exposed)
+        trigger_s = item.start_s + to_trigger_s + float(item.entry.get("trigger_delay_s") or 0.0)
+        over_s = ended if ended is not None else trigger_s + (settings.exposure_bound_s if settings else 0.0)
+        expose_s = max(0.0, min(over_s, until_s) - item.start_s - to_trigger_s)
+    slew_s = min(to_trigger_s, _slew_s(item, before, settings, to_trigger_s - settle_least_s))
+    rest_s = to_trigger_s - slew_s
+    waited = abs(item.start_s + to_trigger_s - ready_s) < _INTERVAL_RULES_S
+    wait_s = max(0.0, rest_s - settle_least_s) if waited else 0.0
+    end_s = item.start_s + to_trigger_s + expose_s
+    after_s = max(0.0, until_s - end_s) if math.isfinite(until_s) else 0.0
+    times = AttemptTimes(
+        shot=item.shot,
+        number=item.number,
+        start_s=item.start_s,
+        slew_s=slew_s,
+        settle_s=rest_s - wait_s,
+        wait_s=wait_s,
+        expose_s=expose_s,
+        after_s=after_s,
+        paused_s=min(after_s, axis.paused_s(end_s, end_s + after_s)),
+        limit_s=0.0,
+    )
+    ready_after_s = trigger_s + (settings.interval_s if settings else 0.0)
+    return times, ready_after_s if math.isfinite(ready_after_s) else ready_s
+
+
+def _moved(times: AttemptTimes, origin_s: float, limit_s: float) -> AttemptTimes:
+    return AttemptTimes(
+        shot=times.shot, number=times.number, start_s=times.start_s - origin_s, slew_s=times.slew_s,
+        settle_s=times.settle_s, wait_s=times.wait_s, expose_s=times.expose_s, after_s=times.after_s,
+        paused_s=times.paused_s, limit_s=limit_s,
+    )  # fmt: skip
+
+
+def _slew_s(item: _Begun, before: _Begun | None, settings: MissionSettings | None, first_s: float) -> float:
+    """The least time of the slew to an attempt; where the gimbal was before the first one is not known."""
+    if before is None:
+        return max(0.0, first_s)
+    here, there = item.entry["target"], before.entry["target"]
+    return slew_time_s(
+        settings.gimbal if settings else GimbalLimits(),
+        from_pitch_deg=float(there["pitch_deg"]),
+        from_yaw_deg=float(there["yaw_deg"]),
+        to_pitch_deg=float(here["pitch_deg"]),
+        to_yaw_deg=float(here["yaw_deg"]),
+    )
+
+
+def _limits(begun: Sequence[_Begun], settings: MissionSettings | None) -> dict[tuple[int, int], float]:
+    """The least time of each shot by its first attempt; the first slew is taken as it was."""
+    if settings is None:
+        return {}
+    first: dict[int, _Begun] = {}
+    for item in begun:
+        first.setdefault(item.shot, item)
+    shots = [
+        Shot(
+            index=item.shot,
+            row=0,
+            pitch_deg=float(item.entry["target"]["pitch_deg"]),
+            yaw_deg=float(item.entry["target"]["yaw_deg"]),
+        )
+        for item in first.values()
+    ]
+    steps = limit_steps_s(shots, settings, start=None, exposure_s=settings.exposure_s)
+    opening = begun[0].entry.get("slew_settle_s")
+    if opening is not None:
+        steps[0] += max(0.0, float(opening) - settings.settle_s)
+    return {(item.shot, item.number): step for item, step in zip(first.values(), steps, strict=True)}
+
+
+class _Axis:
+    """Wall time to seconds of the mission: sped up as it was flown, without the gaps between two processes."""
+
+    def __init__(self, source: Source) -> None:
+        self._speedup = source.speedup
+        self._gaps: list[tuple[float, float]] = []
+        self._pauses: list[tuple[float, float]] = []
+        self.ended: dict[tuple[int, int], float] = {}
+        last_s, paused_s = math.nan, math.nan
+        for event in source.events:
+            match event:
+                case ev.MissionStarted(resumed=True) if math.isfinite(last_s):
+                    self._gaps.append((last_s, event.time_utc_s))
+                    paused_s = math.nan
+                case ev.MissionPaused():
+                    paused_s = event.time_utc_s
+                case ev.MissionResumed() if math.isfinite(paused_s):
+                    self._pauses.append((paused_s, event.time_utc_s))
+                    paused_s = math.nan
+                case _:
+                    pass
+            last_s = event.time_utc_s
+        for event in source.events:
+            if isinstance(event, ev.ShotExposed):
+                self.ended[event.shot, event.attempt] = self.at(event.time_utc_s)
+            elif isinstance(event, ev.ShotRejected | ev.ShotInterrupted):
+                self.ended.setdefault((event.shot, event.attempt), self.at(event.time_utc_s))
+
+    def at(self, utc_s: float) -> float:
+        """Seconds of the mission at a moment of wall time."""
+        lost = sum(max(0.0, min(utc_s, end) - start) for start, end in self._gaps if start < utc_s)
+        return (utc_s - lost) * self._speedup
+
+    def paused_s(self, start_s: float, end_s: float) -> float:
+        """How long the mission was paused between two moments of the axis."""
+        spans = [(self.at(start), self.at(end)) for start, end in self._pauses]
+        return sum(max(0.0, min(end, end_s) - max(start, start_s)) for start, end in spans)
+
+
+def _utc_s(stamp: object) -> float:
+    try:
+        return datetime.fromisoformat(stamp).timestamp() if isinstance(stamp, str) else math.nan
+    except ValueError:
+        return math.nan
