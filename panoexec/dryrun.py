@@ -90,6 +90,7 @@ class DryRunSummary:
         certificate: of the measured attitudes; None if the mission did not come that far.
         vehicle: what it was flown on, as in the manifest; `landed` where it had to be.
         turns: how often the vehicle was turned, where it pans.
+        report: the page that shows all of it.
     """
 
     mission_id: str
@@ -111,6 +112,7 @@ class DryRunSummary:
     certificate: Certificate | None = field(repr=False)
     vehicle: dict[str, Any] = field(default_factory=dict)
     turns: int = 0
+    report: Path | None = None
 
     @property
     def limit_ratio(self) -> float:
@@ -122,6 +124,7 @@ class DryRunSummary:
         out = asdict(replace(self, certificate=None))
         certificate = self.certificate
         out["directory"] = str(self.directory)
+        out["report"] = None if self.report is None else str(self.report)
         out["missing"] = list(self.missing)
         out["certified"] = None if certificate is None else certificate.certified
         out["uncovered_fraction"] = None if certificate is None else certificate.uncovered_fraction
@@ -263,7 +266,7 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
     shots = _shots_flown(record, since_utc_s=began_utc_s)
     limit_s = sum(limit_steps_s(shots, stored.settings, start=start, exposure_s=simulation.camera.exposure_s))
     summary = summarise(stored, record, duration_s=duration_s, limit_s=limit_s, certificate=certificate)
-    return replace(summary, vehicle=rig.about, turns=turns)
+    return replace(summary, vehicle=rig.about, turns=turns, report=stored.directory.report)
 
 
 def _shots_flown(record: MissionRecord, *, since_utc_s: float) -> tuple[Shot, ...]:

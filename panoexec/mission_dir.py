@@ -39,6 +39,11 @@ class MissionDirectory:
         return self.path / "journal.sqlite"
 
     @property
+    def report(self) -> Path:
+        """The page for people."""
+        return self.path / "report.html"
+
+    @property
     def images(self) -> Path:
         """Photos that the camera hands over."""
         return self.path / "images"

@@ -17,6 +17,8 @@ from types import TracebackType
 from typing import Any, Self
 
 LIMIT_S = 60.0
+SOFTWARE_WEBGL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+NO_WEBGL = ("--disable-gpu", "--disable-3d-apis")
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 
@@ -38,7 +40,7 @@ class Browser:
             "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--no-first-run", "--disable-extensions",
             "--disable-background-networking", "--disable-component-update", "--hide-scrollbars",
             "--remote-debugging-pipe", f"--user-data-dir={profile}",
-            *(("--use-angle=swiftshader", "--enable-unsafe-swiftshader") if webgl else ("--disable-gpu", "--disable-3d-apis")),
+            *(SOFTWARE_WEBGL if webgl else NO_WEBGL),
             "about:blank",
         ]  # fmt: skip
         # a shell puts the ends where they belong; they may have any numbers here
@@ -61,7 +63,9 @@ class Browser:
             self.call(f"{domain}.enable")
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self._process.terminate()
         try:
             self._process.wait(10)

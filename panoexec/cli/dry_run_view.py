@@ -181,6 +181,8 @@ def show_summary(summary: DryRunSummary) -> None:
         ("photos", f"{summary.photos} JPEGs"),
         ("directory", str(summary.directory)),
     ]
+    if summary.report is not None:
+        facts.append(("report", str(summary.report)))
     print_facts(facts)
 
 

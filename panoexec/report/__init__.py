@@ -12,13 +12,12 @@ from panoexec.errors import InputFileError
 from panoexec.files import write_atomically
 from panoexec.mission_dir import MissionDirectory
 from panoexec.report.data import page_data
-from panoexec.report.page import page
-from panoexec.report.panorama import panorama
+from panoexec.report.page import render_page
+from panoexec.report.panorama import best_picture
 from panoexec.report.source import PhotoFile, read_source
 
-__all__ = ["AT_ONCE_S", "REPORT_NAME", "Report", "write_report"]
+__all__ = ["AT_ONCE_S", "Report", "write_report"]
 
-REPORT_NAME: Final = "report.html"
 AT_ONCE_S: Final = 1.5
 """Processor time that the quick look may take when a mission ends; asked for by hand, it takes its time."""
 
@@ -58,19 +57,16 @@ def write_report(directory: MissionDirectory, *, patience_s: float = math.inf) -
     try:
         source = read_source(directory)
         data = page_data(source, made_utc_s=time.time())
-        picture, why_none = panorama(source, patience_s=patience_s)
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        picture, why_none = best_picture(source, patience_s=patience_s)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, ArithmeticError) as error:
         where = f"{type(error).__name__}: {error}"
         raise InputFileError(str(directory.manifest), [f"is damaged or incomplete ({where})"]) from error
     data["panorama"] = (
-        {"kind": "", "why": why_none}
-        if picture is None
-        else {"kind": picture.kind, "left_out": list(picture.left_out)}
+        {"kind": "", "why": why_none} if picture is None else {"kind": picture.kind, "left_out": list(picture.left_out)}
     )
-    path = directory.path / REPORT_NAME
-    write_atomically(path, page(data, picture))
+    write_atomically(directory.report, render_page(data, picture))
     return Report(
-        path=path,
+        path=directory.report,
         photos=len(source.photos),
         problems=tuple(source.photo_problems),
         panorama=picture.kind if picture else "",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 from urllib.parse import quote
@@ -26,14 +26,14 @@ def page_data(source: Source, *, made_utc_s: float) -> dict[str, Any]:
         made_utc_s: when the page is made.
 
     Raises:
-        KeyError, TypeError, ValueError: the manifest lacks what every manifest has.
+        KeyError, TypeError, ValueError, ArithmeticError: the manifest lacks what every manifest has.
     """
     manifest = source.manifest
     times = timeline(source)
     by_attempt = {(item.shot, item.number): item for item in times.attempts}
     shots = [_shot(shot, source, by_attempt) for shot in manifest["shots"]]
     camera = manifest["camera"]
-    tolerance = manifest["tolerance_deg"]
+    tolerance = manifest.get("tolerance_deg") or _planned_tolerance(source)
     return {
         "format": FORMAT,
         "made": {"version": __version__, "time": datetime.fromtimestamp(made_utc_s, UTC).isoformat(timespec="seconds")},
@@ -74,9 +74,15 @@ def page_data(source: Source, *, made_utc_s: float) -> dict[str, Any]:
     }
 
 
-def _shot(
-    shot: Mapping[str, Any], source: Source, times: Mapping[tuple[int, int], AttemptTimes]
-) -> dict[str, Any]:
+def _planned_tolerance(source: Source) -> dict[str, float]:
+    """For manifests of others, which need not say."""
+    if source.plan is None or source.plan.constraints is None:
+        raise KeyError("tolerance_deg")
+    planned = source.plan.constraints.tolerance
+    return {"pitch": planned.pitch_deg, "roll": planned.roll_deg, "yaw": planned.yaw_deg}
+
+
+def _shot(shot: Mapping[str, Any], source: Source, times: Mapping[tuple[int, int], AttemptTimes]) -> dict[str, Any]:
     index = int(shot["index"])
     target = shot["target"]
     return {
@@ -86,7 +92,7 @@ def _shot(
         "status": str(shot.get("status") or ("accepted" if shot.get("accepted_attempt") else "todo")),
         "reason": str(shot.get("reason", "")),
         "target": [_round(target["pitch_deg"]), _round(target["yaw_deg"])],
-        "q": [_round(value, 6) for value in target["quaternion"]],
+        "q": _quaternion(target["quaternion"]),
         "accepted": shot.get("accepted_attempt"),
         "photo": _photo(source.photos.get(index)),
         "attempts": [_attempt(attempt, times.get((index, int(attempt["number"])))) for attempt in shot["attempts"]],
@@ -102,7 +108,7 @@ def _attempt(attempt: Mapping[str, Any], times: AttemptTimes | None) -> dict[str
         "code": str(attempt.get("code", "")),
         "reason": str(attempt.get("reason", "")),
         "error": None if not error else [_round(error.get(axis), 4) for axis in ("pitch", "roll", "yaw")],
-        "q": None if not measured else [_round(value, 6) for value in measured["quaternion"]],
+        "q": None if not measured else _quaternion(measured["quaternion"]),
         "pose": None if not measured else [_round(measured.get(f"{axis}_deg")) for axis in ("pitch", "roll", "yaw")],
         "evidence": str(attempt.get("evidence", "")),
         "samples": attempt.get("samples"),
@@ -170,8 +176,12 @@ def _counts(shots: list[dict[str, Any]]) -> dict[str, Any]:
     missing = [shot["i"] for shot in shots if not shot["accepted"]]
     retakes = sum(max(0, len(shot["attempts"]) - 1) for shot in shots)
     return {
-        "shots_total": len(shots), "shots_done": len(done), "attempts": attempts, "retakes": retakes, "missing": missing,
-    }  # fmt: skip
+        "shots_total": len(shots),
+        "shots_done": len(done),
+        "attempts": attempts,
+        "retakes": retakes,
+        "missing": missing,
+    }
 
 
 def _reasons(shots: list[dict[str, Any]]) -> list[list[Any]]:
@@ -194,6 +204,11 @@ def _stitch(document: Mapping[str, Any] | None) -> dict[str, Any] | None:
         return None
     keys = ("completeness", "images", "left_out", "untied", "points", "rms_px", "hfov_deg", "canvas_px", "seconds")
     return {key: document.get(key) for key in keys}
+
+
+def _quaternion(values: Sequence[Any]) -> list[float]:
+    w, x, y, z = (round(float(value), 6) for value in values)
+    return [w, x, y, z]
 
 
 def _plain(value: object) -> object:

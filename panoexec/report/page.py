@@ -22,7 +22,7 @@ _SCRIPTS: Final = ("core.js", "sphere.js", "charts.js", "viewer.js", "main.js")
 _VIEWER_SCRIPTS: Final = ("pannellum/libpannellum.js", "pannellum/pannellum.js")
 
 
-def page(data: Mapping[str, Any], panorama: Panorama | None) -> str:
+def render_page(data: Mapping[str, Any], panorama: Panorama | None) -> str:
     """The HTML.
 
     Args:

@@ -22,7 +22,7 @@ QUICK_WIDTH_PX: Final = 2048
 STITCHED_WIDTH_PX: Final = 4096
 _AS_IT_IS_BYTES: Final = 4 << 20
 """A stitched preview up to this size is embedded unchanged where there is no Pillow to make it smaller."""
-_WARM: Final = 3
+_WARM: Final = 2
 """Photos before the time of a quick look is worked out; the first ones are slower."""
 _EMPTY: Final = (30, 33, 39)
 
@@ -42,7 +42,7 @@ class Panorama:
     left_out: tuple[str, ...] = ()
 
 
-def panorama(source: Source, *, patience_s: float = math.inf) -> tuple[Panorama | None, str]:
+def best_picture(source: Source, *, patience_s: float = math.inf) -> tuple[Panorama | None, str]:
     """The best picture there is, and if there is none, why.
 
     Args:
@@ -106,7 +106,7 @@ def _quick_look(source: Source, patience_s: float) -> tuple[Panorama | None, str
         except (OSError, SyntaxError, ValueError):
             left_out.append(name)
         expected_s = (time.thread_time() - started) / (done + 1) * len(shots)
-        if expected_s > patience_s and _WARM <= done < len(shots) // 2:
+        if expected_s > patience_s and _WARM <= done < len(shots) / 2:
             return None, "the photos are too large to be looked through at once: run `panoexec report`, or stitch"
     if len(left_out) == len(shots):
         return None, "no photo can be read"

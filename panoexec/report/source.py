@@ -12,8 +12,8 @@ from panoexec.codec import decode
 from panoexec.errors import UsageError
 from panoexec.events import Event
 from panoexec.exports.model import local_name
-from panoexec.jpeg_header import read_jpeg_header
 from panoexec.journal import read_journal
+from panoexec.jpeg_header import read_jpeg_header
 from panoexec.manifest import read_manifest
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission_dir import MissionDirectory
@@ -73,7 +73,8 @@ def read_source(directory: MissionDirectory) -> Source:
     """
     manifest = read_manifest(directory.manifest)
     notes: list[str] = []
-    plan, settings, events, speedup = None, None, (), 1.0
+    plan, settings, speedup = None, None, 1.0
+    events: tuple[Event, ...] = ()
     try:
         plan = read_plan_file(directory.plan)
     except UsageError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -46,8 +47,8 @@ def test_one_that_fails_does_not_keep_the_others_from_being_written(
     def broken(_: MissionDirectory) -> None:
         raise UsageError("no ink")
 
-    monkeypatch.setattr(leavings, "LEAVINGS", {"report": broken} | dict(leavings.LEAVINGS) | {"last": broken})
-    with pytest.raises(UsageError, match=r"^report: no ink; last: no ink$"):
+    monkeypatch.setattr(leavings, "LEAVINGS", {"first": broken} | dict(leavings.LEAVINGS) | {"last": broken})
+    with pytest.raises(UsageError, match=r"^first: no ink; last: no ink$"):
         write_leavings(directory)
     assert (directory.path / "panorama.pto").exists()
 
@@ -56,3 +57,14 @@ def test_names_a_manifest_that_is_damaged(directory: MissionDirectory) -> None:
     directory.manifest.write_text("{", encoding="utf-8")
     with pytest.raises(InputFileError, match=r"manifest\.json"):
         write_leavings(directory)
+
+
+def test_the_page_for_people_is_among_them(directory: MissionDirectory) -> None:
+    """Of a flown mission, with the journal's times and the battery's history."""
+    write_leavings(directory)
+    page = directory.report.read_text(encoding="utf-8")
+    data = json.loads(page.split('id="data">')[1].split("</script>")[0])
+    assert data["notes"] == []
+    assert data["timeline"]["measured"]
+    assert 0 < data["timeline"]["limit_s"] <= data["timeline"]["duration_s"] + 0.01
+    assert data["battery"]["samples"][0][0] == 0

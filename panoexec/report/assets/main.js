@@ -201,7 +201,7 @@ function main() {
   } else card("pointing", "Pointing error of every attempt", "No attempt has a measured attitude.");
   const totals = el("div", {}), columns = el("div", {});
   if (attempts.some((item) => item.times)) {
-    card("timeline", "Where the time went", "Each column is one attempt; the black line is the least time that gimbal, settle time, exposure and camera interval allow. Red dots are rejected attempts.", totals,
+    card("timeline", "Where the time went", "Each column is one attempt; the line across is the least time that gimbal, settle time, exposure and camera interval allow. Red dots are rejected attempts.", totals,
       legend([["slew", "slew"], ["settle", "settle"], ["expose", "expose"], ["wait", "wait"], ...(timeline.totals_s.paused ? [["paused", "paused"]] : [])]), columns,
       el("p", { class: "lead", style: { margin: "8px 0 0" } }, "Measured: start, settled, end of the exposure. The slew is counted as the least time it can take, the rest before the trigger as settling, or as waiting where the camera's interval was the last to end." + (timeline.speedup !== 1 ? ` Simulated seconds, flown ${timeline.speedup} times as fast.` : "")));
     drawTotals(totals);
