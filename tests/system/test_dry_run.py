@@ -73,7 +73,8 @@ def test_a_mission_ends_complete_with_photos_and_manifest(tmp_path: Path) -> Non
             picture.load()
             assert picture.format == "JPEG"
             assert picture.width == 160
-    for name in ("plan.json", "panorama.pto", "papywizard.xml", "shots.csv"):
+    assert summary["report"] == str(folder / "report.html")
+    for name in ("plan.json", "panorama.pto", "papywizard.xml", "shots.csv", "report.html"):
         assert (folder / name).stat().st_size > 0, name
 
 
@@ -155,6 +156,7 @@ def test_an_interrupted_mission_ends_130_leaves_no_process_and_is_resumed(tmp_pa
     with pytest.raises(ProcessLookupError):
         os.killpg(group, 0)
     (mission,) = (tmp_path / "missions").iterdir()
+    assert "paused" in (mission / "report.html").read_text(encoding="utf-8")
     done = panoexec("dry-run", "--resume", str(mission), "--json")
     assert done.returncode == 0, done.stderr
     manifest = manifest_of(json.loads(done.stdout))
