@@ -231,12 +231,20 @@ def _check_file(path: Path) -> None:
 
 
 def _connect(path: Path) -> sqlite3.Connection:
+    beside = path.with_name(f"{path.name}-wal")
+    was_there = beside.exists()
     connection = sqlite3.connect(path, timeout=1.0, check_same_thread=False)
-    connection.execute("PRAGMA locking_mode = EXCLUSIVE")
-    connection.execute("PRAGMA journal_mode = WAL")
-    connection.execute("PRAGMA synchronous = FULL")
-    connection.execute("BEGIN EXCLUSIVE")  # takes the lock now, not at the first write
-    connection.execute("COMMIT")
+    try:
+        connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute("BEGIN EXCLUSIVE")  # takes the lock now, not at the first write
+        connection.execute("COMMIT")
+    except sqlite3.DatabaseError as error:
+        connection.close()
+        if not was_there and "locked" not in str(error) and beside.exists() and not beside.stat().st_size:
+            beside.unlink()  # nothing stays behind of a journal that was refused
+        raise
     return connection
 
 

@@ -198,13 +198,14 @@ class Mission:
         flight, record = self._flight, self._flight.record
         status = flight.vehicle.status
         moved = distance_m(record.origin, status)
+        kind = record.reference if self._resumed else self._reference
         reference = record.reference_yaw_north_deg
-        if not self._resumed:
-            reference = status.heading_deg if self._reference == "heading" else 0.0
+        if math.isnan(reference):  # of a new mission, or one that never knew it and so took no photo
+            reference = status.heading_deg if kind == "heading" else 0.0
         started = ev.MissionStarted(
             shots_total=record.shots_total,
             resumed=self._resumed,
-            reference=record.reference if self._resumed else self._reference,
+            reference=kind,
             reference_yaw_north_deg=reference,
             latitude_deg=status.latitude_deg,
             longitude_deg=status.longitude_deg,

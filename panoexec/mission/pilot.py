@@ -29,6 +29,7 @@ PAUSES: Final[Mapping[str, str]] = MappingProxyType(
         "attitude": "gimbal reports nothing, waiting",
         "gimbal_control": "gimbal taken by another station",
         "pilot": "pilot has control, gimbal is free",
+        "turning": "flight mode cannot turn us",
         "landed": "not in the air, gimbal is free",
         "battery": "battery low: land, swap, resume",
         "position": "drifted off, waiting to be back",

@@ -170,11 +170,13 @@ class MissionRecord:
         self.gimbal_held = False
         if not math.isnan(event.latitude_deg):
             self.origin = (event.latitude_deg, event.longitude_deg, event.altitude_m)
+        # the earlier photos depend on this direction, so it stays once it is known
+        if math.isnan(self.reference_yaw_north_deg):
+            self.reference_yaw_north_deg = event.reference_yaw_north_deg
         if event.resumed:
             self.restarts += 1
             return
         self.reference = event.reference
-        self.reference_yaw_north_deg = event.reference_yaw_north_deg
         self.started_utc_s = event.time_utc_s
 
     def _patch(self, event: ev.PatchPlanned) -> None:

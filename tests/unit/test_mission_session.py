@@ -135,6 +135,9 @@ def _change(statement: str) -> Callable[[Path], None]:
         (_change("UPDATE head SET value = '{\"attempts\": 3}' WHERE key = 'settings'"), "damaged"),
         (_change("DELETE FROM events WHERE seq = 4"), "damaged"),
         (_change("UPDATE events SET json = replace(json, '\"shot\":0', '\"shot\":77')"), "damaged"),
+        (_change("PRAGMA user_version = 2"), r"newer panoexec .*update panoexec to resume it"),
+        (lambda path: path.write_bytes(path.read_bytes()[:6000]), "damaged"),
+        (lambda path: path.write_bytes(b""), "not an SQLite file"),
         (lambda path: path.unlink(), "there is no journal"),
     ],
 )
@@ -145,8 +148,10 @@ def test_a_journal_that_cannot_be_gone_on_with_is_refused(
         async with a_world() as world:
             directory = await _interrupted(world, tmp_path)
             damage(directory.journal)
+            before = {path.name: path.read_bytes() for path in directory.path.iterdir()}
             with pytest.raises(JournalFileError, match=text):
                 await open_mission(directory)
+            assert {path.name: path.read_bytes() for path in directory.path.iterdir()} == before
 
     run_virtual(main())
 

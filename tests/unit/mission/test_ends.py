@@ -1,0 +1,217 @@
+"""How missions begin, are stopped, fail and go on in a new process."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from panoexec import events as ev
+from panoexec.errors import MissionError
+from panoexec.mission.executor import Mission
+from panoexec.mission.record import MissionRecord
+from panoexec.planning.model import GimbalLimits
+from panoexec.states import MissionState
+from tests.unit.fakes.checks import check_mission
+from tests.unit.fakes.flying import drift_at, fly, until_event
+from tests.unit.fakes.virtual import run_virtual
+from tests.unit.fakes.world import World, a_world, some_settings
+
+S = MissionState
+
+
+def test_an_interrupted_mission_can_be_resumed_and_the_photo_counts_stay_right() -> None:
+    async def main() -> None:
+        async with a_world() as world:
+            mission = world.mission()
+            async with asyncio.TaskGroup() as group:
+                running = group.create_task(mission.run())
+                await until_event(world, ev.ShotAccepted, 2)
+                mission.verbs.interrupt()
+                record = await running
+            check_mission(world, record)
+            assert record.state is S.PAUSED
+            assert not world.gimbal.in_control
+            record = await world.mission(past=list(world.journal.events)).run()
+            check_mission(world, record)
+            assert record.state is S.COMPLETE
+            assert record.restarts == 1
+            assert len(world.camera.photos) == 4
+
+    run_virtual(main())
+
+
+def test_preflight_names_everything_that_is_wrong_and_moves_nothing() -> None:
+    def prepare(world: World) -> None:
+        world.vehicle.change(in_air=False, battery_frac=0.1, mode="STABILIZED", position_ok=False)
+        world.camera.storage_free_images = 3
+        world.gimbal.limits = GimbalLimits(pitch_min_deg=-10.0)
+        world.gimbal.nan = True
+
+    world = fly(prepare=prepare)
+    assert world.record.state is S.FAILED
+    problems = " | ".join(world.sink.of(ev.PreflightFailed)[0].problems)
+    for text in (
+        "not in the air",
+        "battery at 10 %",
+        "flight mode is STABILIZED",
+        "no good position",
+        "room for 3 photos, 4 are needed",
+        "shot 0 at pitch -20.00° is outside the gimbal's -10° to 90° (and 3 more)",
+        "not a number",
+    ):
+        assert text in problems
+    assert world.gimbal.commands == []
+    assert world.gimbal.acquired == 0
+
+
+def test_preflight_waits_a_little_for_what_is_just_starting() -> None:
+    async def script(world: World, mission: Mission) -> None:
+        await world.clock.sleep(2.0)
+        world.vehicle.change(connected=True)
+
+    world = fly(script, prepare=lambda w: w.vehicle.change(connected=False))
+    assert world.record.state is S.COMPLETE
+
+
+def test_a_journal_that_fails_ends_the_mission_and_releases_the_gimbal() -> None:
+    async def main() -> None:
+        async with a_world() as world:
+            append = world.journal.append
+
+            async def failing(events: Any) -> None:
+                if any(isinstance(event, ev.ShotAccepted) for event in events):
+                    raise MissionError("the journal was deleted")
+                await append(events)
+
+            world.journal.append = failing  # type: ignore[method-assign]
+            with pytest.raises(MissionError, match="deleted"):
+                await world.mission().run()
+            assert not world.gimbal.in_control
+            assert world.sink.of(ev.ShotAccepted) == []
+
+    run_virtual(main())
+
+
+def test_a_release_that_hangs_is_given_up() -> None:
+    world = fly(prepare=lambda w: setattr(w.gimbal, "release_hangs", True))
+    assert world.record.state is S.COMPLETE
+    assert world.sink.of(ev.GimbalReleased)[0].confirmed is False
+
+
+@pytest.mark.parametrize("again_s", [0.0, 0.005, 0.01, 0.5])
+@pytest.mark.parametrize("at_s", [0.06, 1.0, 2.65, 7.62])
+def test_cancelled_twice_the_gimbal_is_still_released_and_the_journal_complete(at_s: float, again_s: float) -> None:
+    async def main() -> None:
+        async with a_world() as world:
+            world.journal.delay_s = 0.05
+            mission = world.mission()
+            running = asyncio.create_task(mission.run())
+            await world.clock.sleep(at_s)
+            running.cancel()
+            await world.clock.sleep(again_s)
+            running.cancel()
+            await asyncio.wait({running})
+            check_mission(world, mission.record)
+            assert len(world.journal.events) == mission.record.seq
+            assert world.record_of_journal().state is mission.record.state
+
+    run_virtual(main())
+
+
+def test_the_record_is_the_same_from_the_journal() -> None:
+    world = fly(prepare=lambda w: drift_at(w, -90.0, until_s=1005.0))
+    again = MissionRecord.from_events(mission_id="m1", shots=world.plan.shots, events=world.journal.events)
+    assert again.shots == world.record.shots
+    assert (again.state, again.retakes, again.seq) == (world.record.state, world.record.retakes, world.record.seq)
+
+
+def _in_two_flights(between: Callable[[World], None], **mission: Any) -> tuple[World, list[float], int]:
+    """A mission that is stopped after two shots; what happens then; and the rest in a new process.
+
+    Returns:
+        The world, the yaw of each pointing command, and how many of those were of the first flight.
+    """
+
+    async def main() -> tuple[World, list[float], int]:
+        async with a_world() as world:
+            first = world.mission(**mission)
+            async with asyncio.TaskGroup() as group:
+                running = group.create_task(first.run())
+                await until_event(world, ev.ShotAccepted, 2)
+                running.cancel()
+            check_mission(world, first.record)
+            so_far = len(world.gimbal.commands)
+            between(world)
+            world.record = await world.mission(past=list(world.journal.events)).run()
+            check_mission(world, world.record)
+            return world, [yaw for _, _, yaw in world.gimbal.commands], so_far
+
+    return run_virtual(main())
+
+
+def test_a_mission_that_moved_says_so_and_is_anchored_where_it_is_now() -> None:
+    world, _, _ = _in_two_flights(lambda w: w.vehicle.change(latitude_deg=47.0001))
+    assert world.record.state is S.COMPLETE
+    assert "resumed 11.1 m from where" in world.sink.of(ev.Warned)[0].text
+    assert world.record.origin[0] == 47.0001
+    # 11 m from the old place is far beyond the bound: it is the new one that counts
+    assert [event.code for event in world.sink.of(ev.MissionPaused)] == ["interrupted"]
+
+
+@pytest.mark.parametrize(
+    ("position", "origin"),
+    [({"latitude_deg": 47.00001}, 47.00001), ({"latitude_deg": math.nan, "longitude_deg": math.nan}, 47.0)],
+)
+def test_a_metre_is_no_warning_and_a_place_that_is_not_known_moves_no_anchor(
+    position: dict[str, float], origin: float
+) -> None:
+    world, _, _ = _in_two_flights(lambda w: w.vehicle.change(**position))
+    assert world.sink.of(ev.Warned) == []
+    assert world.record.origin[0] == origin
+
+
+def test_after_a_battery_swap_yaw_zero_is_where_the_first_photos_had_it() -> None:
+    """Plan yaws are -180, -90, 0, 90 from the heading at the start, 30; the vehicle stands at 200 afterwards."""
+
+    def swapped(world: World) -> None:
+        world.vehicle.change(heading_deg=200.0, boot_count=1, battery_frac=1.0)
+        world.gimbal.in_control = False
+
+    world, yaws, so_far = _in_two_flights(swapped, reference="heading")
+    assert world.record.state is S.COMPLETE
+    assert world.record.reference_yaw_north_deg == 30.0
+    assert yaws[:2] == pytest.approx([-150.0, -60.0])
+    assert yaws[so_far:][-2:] == pytest.approx([30.0, 120.0])
+    assert all(event.reference_yaw_north_deg == 30.0 for event in world.sink.of(ev.MissionStarted))
+
+
+def test_a_mission_that_never_knew_its_heading_takes_the_one_at_its_resumption() -> None:
+    async def main() -> None:
+        async with a_world() as world:
+            world.vehicle.change(heading_deg=math.nan)
+            record = await world.mission(reference="heading").run()
+            assert record.state is S.FAILED
+            assert "heading is unknown" in record.reason
+            world.vehicle.change(heading_deg=75.0)
+            record = await world.mission(past=list(world.journal.events)).run()
+            check_mission(world, record)
+            assert record.state is S.COMPLETE
+            assert record.reference_yaw_north_deg == 75.0
+
+    run_virtual(main())
+
+
+def test_settings_that_make_no_sense_are_refused() -> None:
+    for change, text in (
+        ({"attempts": 0}, "attempts = 0"),
+        ({"settle_s": -1.0}, "settle_s = -1.0"),
+        ({"max_gap_s": float("nan")}, "max_gap_s = nan"),
+        ({"tolerance": replace(some_settings().tolerance, yaw_deg=0.0)}, "tolerance yaw_deg = 0.0"),
+    ):
+        with pytest.raises(Exception, match=text):
+            some_settings(**change)
