@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import os
 import socket
@@ -18,6 +19,8 @@ from panoexec.mqtt.certificates import check_dates
 from panoexec.mqtt.credentials import read_password, tls_context
 
 CONNECT_S: Final = 10.0
+_QUICK_ACK: Final[int | None] = getattr(socket, "TCP_QUICKACK", None)
+"""Linux has it."""
 
 _log = structlog.get_logger(__name__)
 
@@ -63,6 +66,7 @@ class BrokerClient(aiomqtt.Client):
 
     def _on_publish(self, client: Any, userdata: Any, mid: int, reason_code: Any, properties: Any) -> None:
         self.acknowledged = int(getattr(reason_code, "value", 0))
+        self._acknowledge_at_once()
         super()._on_publish(client, userdata, mid, reason_code, properties)
 
     def _on_socket_open(self, client: Any, userdata: Any, sock: Any) -> None:
@@ -70,6 +74,17 @@ class BrokerClient(aiomqtt.Client):
             sock.close()
             return
         super()._on_socket_open(client, userdata, sock)
+
+    def _acknowledge_at_once(self) -> None:
+        """Send TCP's acknowledgement of what was just read.
+
+        A broker that collects small packets (Nagle; mosquitto's default) holds the next message back until the one
+        before is acknowledged, which the kernel does only after 40 ms when we have nothing to say ourselves.
+        """
+        sock = self._client.socket()
+        if _QUICK_ACK is not None and isinstance(sock, socket.socket):
+            with contextlib.suppress(OSError):
+                sock.setsockopt(socket.IPPROTO_TCP, _QUICK_ACK, 1)
 
 
 class _Trouble(logging.Handler):

@@ -107,7 +107,14 @@ async def ground_station(broker: Broker) -> AsyncIterator[Ground]:
 
 @asynccontextmanager
 async def serving(
-    folder: Path, broker: Broker, port: int, *, more: str = "", mqtt: str = "", notify: Path | None = None
+    folder: Path,
+    broker: Broker,
+    port: int,
+    *,
+    more: str = "",
+    mqtt: str = "",
+    notify: Path | None = None,
+    speedup: float = SPEEDUP,
 ) -> AsyncIterator[asyncio.subprocess.Process]:
     """The daemon while the block runs; killed at its end if it still runs."""
     config = folder / "config.toml"
@@ -122,7 +129,7 @@ async def serving(
         environment["WATCHDOG_USEC"] = "1500000"
     with (folder / "serve.log").open("ab") as log:
         process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "panoexec", "serve", "--config", str(config), "--speedup", str(SPEEDUP)),
+            *(sys.executable, "-m", "panoexec", "serve", "--config", str(config), "--speedup", str(speedup)),
             stdout=log,
             stderr=log,
             env=environment,
