@@ -235,7 +235,7 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
     on_mission: Callable[[Mission], None],
     note: Callable[[str], None],
 ) -> DryRunSummary:
-    clock = SystemClock(vehicle.speedup)
+    clock = vehicle.clock()
     output = stored.directory.images if images else None
     try:
         async with devices_on(vehicle, images=output, clock=clock, note=note) as (devices, rig):

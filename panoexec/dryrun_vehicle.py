@@ -13,11 +13,12 @@ from panoexec.adapters.mavsdk_gimbal import MavsdkGimbal
 from panoexec.adapters.mavsdk_link import MavsdkLink
 from panoexec.adapters.mavsdk_pilot import MavsdkPilot
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
-from panoexec.clock import SystemClock
+from panoexec.clock import Clock, VehicleClock
 from panoexec.errors import DeviceError
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission_session import Devices
 from panoexec.sitl.rigs import Rig, VehicleUnderTest
+from panoexec.sitl.timekeeper import Timekeeper
 
 FIND_S = 30.0
 """Real seconds within which the simulated vehicle must be found."""
@@ -28,7 +29,7 @@ HOVER_M = 30.0
 
 @asynccontextmanager
 async def devices_on(
-    vehicle_under_test: VehicleUnderTest, *, images: Path | None, clock: SystemClock, note: Callable[[str], None]
+    vehicle_under_test: VehicleUnderTest, *, images: Path | None, clock: Clock, note: Callable[[str], None]
 ) -> AsyncIterator[tuple[Devices, Rig]]:
     """A vehicle with gimbal and camera, found and streaming while the block runs; in the air, if it is ours to fly.
 
@@ -40,6 +41,11 @@ async def devices_on(
     async with AsyncExitStack() as stack:
         rig = await stack.enter_async_context(vehicle_under_test.running(images=images, note=note))
         link = await stack.enter_async_context(MavsdkLink(rig.connection, clock=clock))
+        keeper = None
+        if rig.allow is not None:
+            assert isinstance(clock, VehicleClock)
+            keeper = Timekeeper(clock, rig.allow, speedup=vehicle_under_test.speedup)
+            await stack.enter_async_context(keeper.keeping(link))
         gimbal = await stack.enter_async_context(MavsdkGimbal(link))
         camera = await stack.enter_async_context(MavsdkCamera(link))
         vehicle = await stack.enter_async_context(MavsdkVehicle(link))
@@ -49,6 +55,8 @@ async def devices_on(
         rig.about["gimbal_feedback"] = found.feedback
         rig.about["autopilot_version"] = await _autopilot_version(link)
         devices = Devices(gimbal=gimbal, camera=camera, vehicle=vehicle)
+        if keeper is not None:
+            await keeper.begin()
         if not rig.must_fly:
             yield devices, rig
             return

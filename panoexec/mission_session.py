@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
 
 from panoexec import __version__
-from panoexec.clock import Clock
+from panoexec.clock import Clock, work
 from panoexec.codec import decode, encode
 from panoexec.devices import Camera, Gimbal, Severity, Vehicle
 from panoexec.errors import MissionError, UsageError
@@ -23,6 +23,7 @@ from panoexec.journal import JournalFileError, SqliteJournal
 from panoexec.manifest import ManifestWriter
 from panoexec.mission.executor import Mission
 from panoexec.mission.pilot import PilotVoice, Saying
+from panoexec.mission.protocols import Journal
 from panoexec.mission.record import MissionRecord
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.verifier import ThreadedVerifier
@@ -195,7 +196,7 @@ class MissionSession:
                 camera=devices.camera,
                 vehicle=devices.vehicle,
                 clock=clock,
-                journal=stored.journal,
+                journal=_Announced(stored.journal, clock),
                 sink=_Sinks(_Late(sinks), sink),
                 verifier=ThreadedVerifier(plan=stored.plan),
                 reference=reference,
@@ -244,6 +245,18 @@ class MissionSession:
         await self._voice.farewell()
         await self._manifest.write()
         return record
+
+
+class _Announced:
+    """A journal of whose work the clock knows."""
+
+    def __init__(self, journal: Journal, clock: Clock) -> None:
+        self._journal, self._clock = journal, clock
+
+    async def append(self, events: Sequence[Event]) -> None:
+        """See `Journal.append`."""
+        with work(self._clock):
+            await self._journal.append(events)
 
 
 class _Late:

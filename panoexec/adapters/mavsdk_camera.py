@@ -22,6 +22,7 @@ from panoexec.adapters.mavsdk_link import REQUEST_MESSAGE, MavsdkLink
 from panoexec.adapters.message_hub import MavMessage
 from panoexec.adapters.photo_recall import CAPTURE_STATUS, IMAGE_CAPTURED, recall_images, recall_trigger
 from panoexec.adapters.stream_keeper import AUTOPILOT
+from panoexec.clock import latest_s
 from panoexec.devices import EvidenceLevel, PendingCapture, Recollection
 from panoexec.errors import DeviceError
 
@@ -196,17 +197,17 @@ class MavsdkCamera:
         """See `Camera.trigger`."""
         found = await self.discover()
         take_photo = partial(self._link.plugin(Camera).take_photo, found.component)
-        monotonic = self._link.clock.monotonic
+        clock = self._link.clock
         async with self._triggering:
             self._numbers += 1
-            capture = Capture(self._numbers, clock=self._link.clock, nudge=self._ask_for_news)
-            capture.commanded(monotonic())
+            capture = Capture(self._numbers, clock=clock, nudge=self._ask_for_news)
+            capture.commanded(clock.monotonic())
             self._ledger.enter(capture)
 
             def fire() -> float:
-                capture.commanded(monotonic())
+                capture.commanded(clock.monotonic())
                 take_photo()
-                return monotonic()
+                return latest_s(clock)  # the camera counts its interval from before that
 
             try:
                 acknowledged_s = await self._link.vendor_call("taking a photo", fire)

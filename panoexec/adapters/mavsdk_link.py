@@ -29,7 +29,7 @@ from panoexec.adapters.stream_keeper import AUTOPILOT, StreamKeeper
 from panoexec.adapters.vendor import MAV_RESULTS, device_error, quiet_vendor_log
 from panoexec.adapters.vendor_session import VendorSession
 from panoexec.adapters.worker_calls import WorkerCalls
-from panoexec.clock import Clock
+from panoexec.clock import Clock, work
 from panoexec.devices import Severity
 from panoexec.errors import DeviceError, LinkError
 
@@ -244,7 +244,8 @@ class MavsdkLink:
             LinkError: not answered, and no heartbeats either; or the link is closed.
         """
         try:
-            return await self._calls.run(call)
+            with work(self.clock):
+                return await self._calls.run(call)
         except MavsdkError as error:
             raise device_error(what, error, connected=self.connected) from error
         except RuntimeError as error:  # a plugin whose connection was closed

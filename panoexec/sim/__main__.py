@@ -1,7 +1,8 @@
 """`python -m panoexec.sim`: the simulated vehicle as a process, for programs that start it (`panoexec.sim.process`).
 
 With `--config-from-stdin` the configuration is one line of JSON on standard input, and the simulation ends when that
-does, so that it cannot outlive its parent. On standard output: one line of JSON when it is ready, one at the end.
+does, so that it cannot outlive its parent; with `--leashed` as well, simulated time goes only as far as the lines that
+follow allow (`panoexec.sim.pacing`). On standard output: one line of JSON when it is ready, one at the end.
 Otherwise it takes the options of `panoexec simulate`, but for the camera.
 """
 
@@ -21,10 +22,10 @@ from panoexec.sim.options import add_arguments, config_of
 
 def main(argv: list[str]) -> int:
     """Run the simulation; the exit code of the contract."""
-    tied = argv == ["--config-from-stdin"]
+    tied = argv[:1] == ["--config-from-stdin"]
     try:
         config = settings.from_json(json.loads(_first_line())) if tied else _from_options(argv)
-        return _run(config, tied=tied)
+        return _run(config, tied=tied, leashed=argv[1:] == ["--leashed"])
     except PanoexecError as error:
         print(f"panoexec: {' '.join(str(error).split())}", file=sys.stderr)
         return error.exit_code
@@ -44,7 +45,7 @@ def _from_options(argv: list[str]) -> SimConfig:
     return config_of(parser.parse_args(argv))
 
 
-def _run(config: SimConfig, *, tied: bool) -> int:
+def _run(config: SimConfig, *, tied: bool, leashed: bool) -> int:
     from panoexec.sim.server import Ready, run_simulation  # noqa: PLC0415  (pymavlink may be missing)
 
     def ready(state: Ready) -> None:
@@ -53,7 +54,7 @@ def _run(config: SimConfig, *, tied: bool) -> int:
     def note(text: str) -> None:
         print(f"simulation: {text}", file=sys.stderr, flush=True)
 
-    summary = run_simulation(config, on_ready=ready, note=note, tied=tied)
+    summary = run_simulation(config, on_ready=ready, note=note, tied=tied, leashed=leashed)
     print(json.dumps(asdict(summary)), flush=True)
     return 130 if summary.interrupted else 0
 

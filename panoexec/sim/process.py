@@ -14,6 +14,7 @@ from typing import Any
 from panoexec.errors import DeviceError, LinkError, PanoexecError, UsageError
 from panoexec.sim import settings
 from panoexec.sim.config import SimConfig
+from panoexec.sim.pacing import allowance_line
 
 _START_S = 60.0
 _STOP_S = 75.0
@@ -42,6 +43,17 @@ class SimulatorProcess:
     process: asyncio.subprocess.Process
     summary: dict[str, Any] = field(default_factory=dict)
 
+    def allow(self, until_s: float, speed: float) -> None:
+        """Let simulated time go on, if it is on a leash.
+
+        Args:
+            until_s: to this moment (it may have gone further already).
+            speed: simulated seconds a second at most.
+        """
+        assert self.process.stdin is not None
+        if not self.process.stdin.is_closing():
+            self.process.stdin.write(allowance_line(until_s, speed))
+
     async def wait(self) -> int:
         """Wait until it ends by itself, which only an error makes it do; its exit code."""
         return await self.process.wait()
@@ -64,12 +76,13 @@ class SimulatorProcess:
                 self.summary = json.loads(line)
 
 
-async def _spawn(config: SimConfig) -> asyncio.subprocess.Process:
+async def _spawn(config: SimConfig, *, leashed: bool) -> asyncio.subprocess.Process:
     process = await asyncio.create_subprocess_exec(
         sys.executable,
         "-m",
         "panoexec.sim",
         "--config-from-stdin",
+        *(["--leashed"] if leashed else []),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
@@ -83,13 +96,14 @@ async def _spawn(config: SimConfig) -> asyncio.subprocess.Process:
 
 @contextlib.asynccontextmanager
 async def running_simulator(
-    config: SimConfig, *, note: Callable[[str], None] = lambda _: None
+    config: SimConfig, *, note: Callable[[str], None] = lambda _: None, leashed: bool = False
 ) -> AsyncIterator[SimulatorProcess]:
     """A simulated vehicle while the block runs.
 
     Args:
         config: what to simulate.
         note: takes what the simulation has to say to people, line by line.
+        leashed: its time stands still until `SimulatorProcess.allow`.
 
     Raises:
         UsageError: the configuration is wrong (the scene is none, the output cannot be written), or pymavlink or
@@ -97,7 +111,7 @@ async def running_simulator(
         LinkError: a port in use, or nobody to attach to.
         DeviceError: it did not start.
     """
-    process = await _spawn(config)
+    process = await _spawn(config, leashed=leashed)
     assert process.stdout is not None
     assert process.stderr is not None
     errors = asyncio.create_task(_last_line(process.stderr, note), name="simulator stderr")

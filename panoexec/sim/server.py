@@ -14,10 +14,12 @@ from typing import Any
 from panoexec.errors import LinkError, UsageError
 from panoexec.sim.config import DEFAULT_PORTS, SimConfig
 from panoexec.sim.darkroom import Darkroom
+from panoexec.sim.dialect import mavlink
 from panoexec.sim.faults import AUTOPILOT_FAULTS
+from panoexec.sim.pacing import TIME_COMPONENT, TIME_NAME, Leash, time_fields
 from panoexec.sim.simulation import Simulation
-from panoexec.sim.wire import Message, TcpLink, UdpLink, attach
-from panoexec.sim.world import SimClock, TruthLog
+from panoexec.sim.wire import Message, Sender, TcpLink, UdpLink, attach
+from panoexec.sim.world import SimClock, Timeline, TruthLog
 
 _IDLE_S = 0.001
 _DRAIN_S = 60.0
@@ -81,23 +83,47 @@ class Summary:
 
 
 class _Outlet:
-    """The link to the world, which may be replaced while the simulation runs."""
+    """The link to the world, which may be replaced while the simulation runs.
+
+    Attributes:
+        link: the one of the moment.
+        timeline: whose time is told before the messages of each moment; None tells none.
+    """
 
     name = "world"
 
-    def __init__(self, link: UdpLink | TcpLink) -> None:
+    def __init__(self, link: UdpLink | TcpLink, system_id: int) -> None:
         self.link = link
+        self.timeline: Timeline | None = None
+        self._sender = Sender(system_id, TIME_COMPONENT)
+        self._told_s = -1.0
 
     def send(self, frame: bytes, message: Message) -> None:
         """See `panoexec.sim.wire.Link.send`."""
+        self.tell_time()
         self.link.send(frame, message)
+
+    def tell_time(self) -> None:
+        """Say what time it is, once a moment, if it shall be told."""
+        if self.timeline is None or self.timeline.now_s == self._told_s:
+            return
+        self._told_s = self.timeline.now_s
+        boot_ms, value = time_fields(self._told_s)
+        message = mavlink.MAVLink_named_value_int_message(boot_ms, TIME_NAME.encode(), value)
+        self.link.send(self._sender.pack(message), message)
 
 
 class Server:
     """One run of the simulation."""
 
     def __init__(
-        self, config: SimConfig, *, on_ready: Callable[[Ready], None], note: Callable[[str], None], tied: bool = False
+        self,
+        config: SimConfig,
+        *,
+        on_ready: Callable[[Ready], None],
+        note: Callable[[str], None],
+        tied: bool = False,
+        leashed: bool = False,
     ) -> None:
         """Prepare a run.
 
@@ -106,11 +132,13 @@ class Server:
             on_ready: called once when the vehicle can be connected to.
             note: takes lines for people.
             tied: end when standard input ends (that is, when the parent does).
+            leashed: if tied, go only as far as standard input says (`panoexec.sim.pacing`).
         """
         self._config = config
         self._on_ready = on_ready
         self._note = note
         self._tied = tied
+        self._leash = Leash() if tied and leashed else None
         self._stop = asyncio.Event()
         self._interrupted = False
         self._latest_s = 0.0
@@ -128,7 +156,7 @@ class Server:
         with self._signals():
             truth = _open_truth(config)
             try:
-                outlet = _Outlet(await _open_link(config))
+                outlet = _Outlet(await _open_link(config), config.system_id)
             except BaseException:
                 truth.close()
                 raise
@@ -152,7 +180,8 @@ class Server:
         self._on_ready(Ready(config=self._config))
         async with asyncio.TaskGroup() as tasks:
             developing = tasks.create_task(darkroom.run(), name="darkroom") if darkroom else None
-            turning = tasks.create_task(self._turn(simulation, outlet), name="simulation")
+            turn = self._turn if self._leash is None else self._turn_on_leash
+            turning = tasks.create_task(turn(simulation, outlet), name="simulation")
             linking = tasks.create_task(self._keep_link(simulation, outlet), name="link")
             await self._stop.wait()
             turning.cancel()
@@ -194,15 +223,40 @@ class Server:
             outlet.link.flush()
             late = -clock.wall_delay(simulation.next_s)
             self._latest_s = max(self._latest_s, late)
-            if late > _BEHIND_S and not warned:
-                warned = True
-                self._note(f"this machine cannot keep up with speed-up {clock.speedup:g}: {late:.1f} s behind")
+            if late > _BEHIND_S:
+                clock.go_on(simulation.timeline.now_s, clock.speedup)
+                if not warned:
+                    warned = True
+                    self._note(f"this machine cannot keep up with speed-up {clock.speedup:g}: simulated time slows down")
             await asyncio.sleep(max(-late, _IDLE_S) if late < 0 else 0)
+
+    async def _turn_on_leash(self, simulation: Simulation, outlet: _Outlet) -> None:
+        """Let simulated time pass as far as the parent allows, and no faster."""
+        leash, clock, timeline = self._leash, simulation.clock, simulation.timeline
+        assert leash is not None
+        outlet.timeline = timeline
+        while True:
+            simulation.advance(min(clock.now(), leash.until_s))
+            outlet.tell_time()
+            outlet.link.flush()
+            held = timeline.now_s >= leash.until_s
+            wait_s = None if held else max(0.0, clock.wall_delay(min(simulation.next_s, leash.until_s)))
+            if wait_s == 0:
+                await asyncio.sleep(0)
+            else:
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(wait_s):
+                        await leash.changed.wait()
+            if leash.changed.is_set():
+                leash.changed.clear()
+                if held or clock.speedup != leash.speed:
+                    clock.go_on(timeline.now_s, leash.speed)
 
     def _adopt(self, link: UdpLink | TcpLink, simulation: Simulation) -> None:
         def receive(message: Message, frame: bytes) -> None:
             # what arrives now happens now, not when the simulation looked at its clock last
-            simulation.advance(simulation.clock.now())
+            if self._leash is None:
+                simulation.advance(simulation.clock.now())
             simulation.receiver(message, frame)
             link.flush()
 
@@ -246,7 +300,10 @@ class Server:
             loop.remove_signal_handler(signal.SIGTERM)
 
     def _stdin(self) -> None:
-        if not os.read(sys.stdin.fileno(), 4096):
+        data = os.read(sys.stdin.fileno(), 4096)
+        if data and self._leash is not None:
+            self._leash.feed(data)
+        elif not data:
             asyncio.get_running_loop().remove_reader(sys.stdin.fileno())
             self._stop.set()
 
@@ -298,7 +355,12 @@ async def _open_link(config: SimConfig) -> UdpLink | TcpLink:
 
 
 async def simulate(
-    config: SimConfig, *, on_ready: Callable[[Ready], None], note: Callable[[str], None], tied: bool = False
+    config: SimConfig,
+    *,
+    on_ready: Callable[[Ready], None],
+    note: Callable[[str], None],
+    tied: bool = False,
+    leashed: bool = False,
 ) -> Summary:
     """Run the simulated vehicle until it is told to end; see `Server`.
 
@@ -306,7 +368,7 @@ async def simulate(
         PanoexecError: see `Server.run`.
     """
     try:
-        return await Server(config, on_ready=on_ready, note=note, tied=tied).run()
+        return await Server(config, on_ready=on_ready, note=note, tied=tied, leashed=leashed).run()
     except BaseExceptionGroup as group:
         # one of the tasks failed for a reason that a user can understand
         understood, _ = group.split(LinkError)
@@ -316,7 +378,12 @@ async def simulate(
 
 
 def run_simulation(
-    config: SimConfig, *, on_ready: Callable[[Ready], None], note: Callable[[str], None], tied: bool = False
+    config: SimConfig,
+    *,
+    on_ready: Callable[[Ready], None],
+    note: Callable[[str], None],
+    tied: bool = False,
+    leashed: bool = False,
 ) -> Summary:
     """`simulate` from outside an event loop: in the foreground until Ctrl-C."""
-    return asyncio.run(simulate(config, on_ready=on_ready, note=note, tied=tied))
+    return asyncio.run(simulate(config, on_ready=on_ready, note=note, tied=tied, leashed=leashed))

@@ -23,6 +23,8 @@ Action: TypeAlias = Callable[[], None]
 class SimClock:
     """Maps the wall to simulated seconds since the start, `speedup` of them a second.
 
+    A simulation that cannot keep up, or that is held, goes on from where it is: time slows down, nothing is skipped.
+
     Attributes:
         jump_s: what is wrong with its UTC (fault).
     """
@@ -33,20 +35,27 @@ class SimClock:
         self.speedup = speedup
         self.jump_s = 0.0
         self._monotonic = monotonic
+        self._zero_s = 0.0
         self._start = monotonic()
         self._start_utc = time.time()
 
     def now(self) -> float:
         """Simulated seconds since the start."""
-        return (self._monotonic() - self._start) * self.speedup
+        return self._zero_s + (self._monotonic() - self._start) * self.speedup
 
     def wall_delay(self, simulated_s: float) -> float:
         """Wall seconds from now until that simulated moment; negative when it is over."""
-        return self._start + simulated_s / self.speedup - self._monotonic()
+        return self._start + (simulated_s - self._zero_s) / self.speedup - self._monotonic()
 
     def utc(self, simulated_s: float) -> float:
         """UTC, seconds since 1970, of a simulated moment: when it really happens on the wall."""
-        return self._start_utc + simulated_s / self.speedup + self.jump_s
+        return self._start_utc + (simulated_s - self._zero_s) / self.speedup + self.jump_s
+
+    def go_on(self, simulated_s: float, speedup: float) -> None:
+        """From that moment on, which is now, at this speed: what the wall is ahead is forgotten."""
+        self._zero_s, self.speedup = simulated_s, speedup
+        self._start = self._monotonic()
+        self._start_utc = time.time()
 
 
 def seeded(seed: int, name: str) -> random.Random:

@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from panoexec.adapters.connection_url import parse_connection
+from panoexec.clock import Clock, SystemClock, VehicleClock
 from panoexec.errors import DeviceError, PanoexecError, UsageError
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import AUTOPILOT_FAULTS
 from panoexec.sim.process import SimulatorProcess, running_simulator
+from panoexec.sitl.timekeeper import Allow
 from panoexec.sitl.autopilot import SitlOptions, free_udp_ports, running_sitl
 
 Note = Callable[[str], None]
@@ -31,12 +33,14 @@ class Rig:
         connection: for `MavsdkLink`.
         must_fly: it stands on the ground and is ours to arm, take off and land.
         may_stand: it is not ours; a mission may be flown on it while it stands on a bench.
+        allow: lets its time go on, for `Timekeeper`; None: it goes on by itself.
         about: for the manifest.
     """
 
     connection: str
     must_fly: bool = False
     may_stand: bool = False
+    allow: Allow | None = None
     about: dict[str, Any]
 
 
@@ -46,6 +50,10 @@ class VehicleUnderTest(Protocol):
     @property
     def speedup(self) -> float:
         """Its seconds a second."""
+        ...
+
+    def clock(self) -> Clock:
+        """A clock for the mission that is flown on it."""
         ...
 
     def running(self, *, images: Path | None, note: Note) -> AbstractAsyncContextManager[Rig]:
@@ -74,14 +82,18 @@ class EmbeddedVehicle:
         """See `VehicleUnderTest.speedup`."""
         return self.simulation.speedup
 
+    def clock(self) -> Clock:
+        """See `VehicleUnderTest.clock`."""
+        return VehicleClock()
+
     @contextlib.asynccontextmanager
     async def running(self, *, images: Path | None, note: Note) -> AsyncIterator[Rig]:
         """See `VehicleUnderTest.running`."""
         (port,) = free_udp_ports(1)
         config = replace(self.simulation, host=HOST, port=port, listen=False, attach_url=None, output=images)
         about = {"autopilot": config.autopilot, "simulated": "embedded", "seed": config.seed}
-        async with running_simulator(config, note=note) as simulator, _watching(_watch(simulator)):
-            yield Rig(connection=f"udpin://{HOST}:{port}", about=about)
+        async with running_simulator(config, note=note, leashed=True) as simulator, _watching(_watch(simulator)):
+            yield Rig(connection=f"udpin://{HOST}:{port}", allow=simulator.allow, about=about)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,6 +120,10 @@ class SitlVehicle:
     def speedup(self) -> float:
         """See `VehicleUnderTest.speedup`."""
         return self.simulation.speedup
+
+    def clock(self) -> Clock:
+        """See `VehicleUnderTest.clock`."""
+        return SystemClock(self.speedup)
 
     @contextlib.asynccontextmanager
     async def running(self, *, images: Path | None, note: Note) -> AsyncIterator[Rig]:
@@ -160,6 +176,10 @@ class ConnectedVehicle:
     def speedup(self) -> float:
         """See `VehicleUnderTest.speedup`."""
         return self.simulation.speedup
+
+    def clock(self) -> Clock:
+        """See `VehicleUnderTest.clock`."""
+        return SystemClock(self.speedup)
 
     @contextlib.asynccontextmanager
     async def running(self, *, images: Path | None, note: Note) -> AsyncIterator[Rig]:

@@ -1,0 +1,63 @@
+"""How far and how fast simulated time may go, where the program that started the simulation says so.
+
+A simulation of its own accord follows the wall: its time goes on while its client, on a busy computer, has not yet read
+what was sent a second ago. On a leash it goes no further than it is allowed to, and never faster than it is told to. The
+client learns the time in the stream of messages itself, before the messages of each moment (NAMED_VALUE_INT, 252, from
+a component that is nobody else): what it knows of the time, it knows of everything before. On standard input come
+lines `UNTIL_S SPEED`; neither is part of what a real vehicle does, and both are left out unless they are asked for.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from typing import Final
+
+TIME_MESSAGE: Final = "NAMED_VALUE_INT"
+TIME_NAME: Final = "sim_clock"
+TIME_COMPONENT: Final = 158
+"""MAV_COMP_ID_PERIPHERAL; it never beats, so nobody takes it for a device."""
+
+
+def time_fields(now_s: float) -> tuple[int, int]:
+    """Milliseconds and microseconds for the message that tells the time."""
+    us = round(now_s * 1e6)
+    return us // 1000, us % 1000
+
+
+def told_time_s(boot_ms: int, value: int) -> float:
+    """The time that `time_fields` made the fields of, to the microsecond."""
+    return boot_ms / 1e3 + value / 1e6
+
+
+def allowance_line(until_s: float, speed: float) -> bytes:
+    """What `Leash.feed` reads."""
+    return f"{until_s!r} {speed!r}\n".encode()
+
+
+class Leash:
+    """What the simulation is held by.
+
+    Attributes:
+        until_s: simulated time goes no further than this.
+        speed: simulated seconds a second at most.
+        changed: set when one of them was told.
+    """
+
+    def __init__(self) -> None:
+        self.until_s = 0.0
+        self.speed = 1.0
+        self.changed = asyncio.Event()
+        self._rest = b""
+
+    def feed(self, data: bytes) -> None:
+        """Take bytes of standard input; a line that means nothing is ignored."""
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        for line in lines:
+            try:
+                until_s, speed = (float(word) for word in line.split())
+            except ValueError:
+                continue
+            if math.isfinite(until_s) and 0 < speed < math.inf:
+                self.until_s, self.speed = until_s, speed
+                self.changed.set()
