@@ -97,7 +97,7 @@ class VehicleClock:
         due_s = self._now_s + max(0.0, seconds)
         woken: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         heapq.heappush(self._sleepers, (due_s, next(self._number), woken))
-        # whoever tells the time looks for sleepers after setting it, and we look at it after lying down: one of both sees
+        # whoever tells the time looks for sleepers after setting it, we look at it after lying down: one of both sees
         if due_s <= self._now_s:
             self.wake()
             await asyncio.sleep(0)

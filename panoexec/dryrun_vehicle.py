@@ -45,7 +45,7 @@ async def devices_on(
         if rig.allow is not None:
             assert isinstance(clock, VehicleClock)
             keeper = Timekeeper(clock, rig.allow, speedup=vehicle_under_test.speedup)
-            await stack.enter_async_context(keeper.keeping(link))
+            stack.enter_context(keeper.keeping(link))
         gimbal = await stack.enter_async_context(MavsdkGimbal(link))
         camera = await stack.enter_async_context(MavsdkCamera(link))
         vehicle = await stack.enter_async_context(MavsdkVehicle(link))

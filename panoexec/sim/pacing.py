@@ -1,10 +1,10 @@
 """How far and how fast simulated time may go, where the program that started the simulation says so.
 
-A simulation of its own accord follows the wall: its time goes on while its client, on a busy computer, has not yet read
-what was sent a second ago. On a leash it goes no further than it is allowed to, and never faster than it is told to. The
-client learns the time in the stream of messages itself, before the messages of each moment (NAMED_VALUE_INT, 252, from
-a component that is nobody else): what it knows of the time, it knows of everything before. On standard input come
-lines `UNTIL_S SPEED`; neither is part of what a real vehicle does, and both are left out unless they are asked for.
+Of its own accord a simulation follows the wall: its time goes on while its client, on a busy computer, has not yet read
+what was sent a second ago. On a leash it goes no further than it is allowed to, and no faster than it is told to. Lines
+`UNTIL_S SPEED` on standard input say so. The client learns the time in the stream of messages itself, before the
+messages of each moment (NAMED_VALUE_INT, 252, from a component that is nobody else): when it hears of a moment, it has
+heard of everything before. Neither is what a real vehicle does; both are left out unless they are asked for.
 """
 
 from __future__ import annotations

@@ -227,7 +227,9 @@ class Server:
                 clock.go_on(simulation.timeline.now_s, clock.speedup)
                 if not warned:
                     warned = True
-                    self._note(f"this machine cannot keep up with speed-up {clock.speedup:g}: simulated time slows down")
+                    self._note(
+                        f"this machine cannot keep up with speed-up {clock.speedup:g}: simulated time slows down"
+                    )
             await asyncio.sleep(max(-late, _IDLE_S) if late < 0 else 0)
 
     async def _turn_on_leash(self, simulation: Simulation, outlet: _Outlet) -> None:

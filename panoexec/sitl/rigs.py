@@ -16,8 +16,8 @@ from panoexec.errors import DeviceError, PanoexecError, UsageError
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import AUTOPILOT_FAULTS
 from panoexec.sim.process import SimulatorProcess, running_simulator
-from panoexec.sitl.timekeeper import Allow
 from panoexec.sitl.autopilot import SitlOptions, free_udp_ports, running_sitl
+from panoexec.sitl.timekeeper import Allow
 
 Note = Callable[[str], None]
 HOST = "127.0.0.1"

@@ -1,11 +1,11 @@
 """Keeps a simulated vehicle and the mission on it at one time, however busy the computer is.
 
 The vehicle tells its time in the stream of its messages; the mission's clock (`VehicleClock`) shows that time and no
-other. The vehicle in turn is only allowed to live a little further than what arrived here, and not beyond the next moment
-that somebody on the clock waits for: so a command goes out at the simulated moment at which the mission decided on it.
-While something takes real time (a command that is to be answered, the journal's disk), simulated time goes on at
-real time's speed at most, in steps that are each acknowledged: on a computer that is ten times slower, it passes ten
-times slower too.
+other. The vehicle in turn is only allowed to live a little further than what arrived here, and not beyond the next
+moment that somebody on the clock waits for: so a command goes out at the simulated moment at which the mission decided
+on it. While something takes real time (a command that is to be answered, the journal's disk), simulated time goes on
+as fast as real time at most, in steps each of which must arrive here first: on a computer that is ten times slower, it
+passes ten times slower too.
 """
 
 from __future__ import annotations
@@ -13,11 +13,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from collections.abc import AsyncIterator, Callable
-from typing import Final
+from collections.abc import Callable, Iterator
+from typing import Final, Protocol
 
-from panoexec.adapters.mavsdk_link import MavsdkLink
-from panoexec.adapters.message_hub import MavMessage
+from panoexec.adapters.message_hub import Handler, MavMessage
 from panoexec.clock import RESOLUTION_S, VehicleClock
 from panoexec.sim.pacing import TIME_COMPONENT, TIME_MESSAGE, TIME_NAME, told_time_s
 
@@ -29,13 +28,23 @@ AHEAD_S: Final = 0.02
 STEP_S: Final = 0.005
 """Likewise while something takes real time."""
 BEGIN_EVERY_S: Final = 10.0
-"""Missions begin at multiples of this: then the same gusts blow in the same mission, however long it took to connect."""
+"""Missions begin at multiples of this: then the same gusts blow in them, however long it took to connect."""
 _BEGIN_SPEED: Final = 10.0
+_BEGIN_AHEAD_S: Final = 0.2
+"""Nobody does anything yet; but MAVSDK keeps 100 messages at most."""
 _TURNS: Final = 6
 """Turns of the event loop in which whoever was woken may go to work, before time goes on."""
 _LOOK_S: Final = 0.25
 _SILENT_LOOKS: Final = 20
 """So many looks at a vehicle that says nothing, and time goes on by itself: nobody may wait for a dead one."""
+
+
+class Hears(Protocol):
+    """What a `MavsdkLink` is here."""
+
+    def on(self, name: str, handler: Handler) -> Callable[[], None]:
+        """See `MavsdkLink.on`."""
+        ...
 
 
 class Timekeeper:
@@ -52,33 +61,34 @@ class Timekeeper:
         self._clock = clock
         self._allow = allow
         self._speedup = speedup
-        self._speed = 1.0
+        self._speed, self._ahead_s = 1.0, AHEAD_S
         self._loop: asyncio.AbstractEventLoop | None = None
         self._turning = False
         self._told = 0
         self._last = (0.0, 1.0)
+        self._timer: asyncio.TimerHandle | None = None
 
-    @contextlib.asynccontextmanager
-    async def keeping(self, link: MavsdkLink) -> AsyncIterator[None]:
-        """Keep time while the block runs, in real time until `begin`."""
+    @contextlib.contextmanager
+    def keeping(self, link: Hears) -> Iterator[None]:
+        """Keep time while the block runs, on the running event loop; in real time until `begin`."""
         self._loop = asyncio.get_running_loop()
         self._clock.on_told, self._clock.on_work = self._look, self._go_on
         self._clock.look_at_s = 0.0
         off = link.on(TIME_MESSAGE, self._hear)
-        async with asyncio.TaskGroup() as group:
-            watch = group.create_task(self._watch(), name="simulated time")
-            try:
-                yield
-            finally:
-                watch.cancel()
-                off()
+        self._watch(self._loop.time(), 0, 0)
+        try:
+            yield
+        finally:
+            off()
+            if self._timer is not None:
+                self._timer.cancel()
 
     async def begin(self) -> None:
         """Return at the next moment at which missions begin; from then on time goes as fast as it was asked to."""
-        self._speed = max(_BEGIN_SPEED, self._speedup)
+        self._speed, self._ahead_s = max(_BEGIN_SPEED, self._speedup), _BEGIN_AHEAD_S
         now_s = self._clock.monotonic()
-        await self._clock.sleep(BEGIN_EVERY_S * math.ceil(now_s / BEGIN_EVERY_S) - now_s)
-        self._speed = self._speedup
+        await self._clock.sleep(BEGIN_EVERY_S * (math.floor(now_s / BEGIN_EVERY_S) + 1) - now_s)
+        self._speed, self._ahead_s = self._speedup, AHEAD_S
 
     # --- in the vendor's thread
 
@@ -113,9 +123,11 @@ class Timekeeper:
         if clock.is_at_work:
             until_s, speed = now_s + STEP_S, min(1.0, self._speed)
         else:
-            until_s, speed = max(now_s, min(now_s + AHEAD_S, clock.next_s)), self._speed
-        clock.look_at_s = min(until_s, now_s + AHEAD_S / 2) - RESOLUTION_S
+            until_s, speed = max(now_s, min(now_s + self._ahead_s, clock.next_s)), self._speed
+        clock.look_at_s = min(until_s, now_s + self._ahead_s / 2) - RESOLUTION_S
         self._let(until_s, speed)
+        if clock.monotonic() >= clock.look_at_s:  # it was told in between
+            self._look()
 
     def _let(self, until_s: float, speed: float) -> None:
         if (until_s, speed) != self._last:
@@ -123,20 +135,27 @@ class Timekeeper:
             self._clock.allowed_s = max(self._clock.allowed_s, until_s)
             self._allow(until_s, speed)
 
-    async def _watch(self) -> None:
-        """Let the vehicle go on in real time until it is heard, and time itself when it is heard no more."""
+    def _watch(self, since_s: float, told: int, looks: int) -> None:
+        """See that time goes on where nothing is heard, and look again after a while.
+
+        Before the first word, when nobody can hear it yet, the vehicle goes on in real time. Later a word may have been
+        lost: a little more is allowed then. One that stays silent is dead, and time goes on without it.
+
+        Args:
+            since_s: the last look, in the loop's time.
+            told: how often the time had been told by then.
+            looks: for how many looks it has been silent.
+        """
         assert self._loop is not None
-        looks, told = 0, self._told
-        while True:
-            began_s = self._loop.time()
-            await asyncio.sleep(_LOOK_S if told else STEP_S)
-            if self._told != told:
-                looks, told = 0, self._told
-                continue
+        now_s = self._loop.time()
+        if not self._told:
+            self._let(self._last[0] + now_s - since_s, 1.0)
+        elif self._told != told:
+            looks = 0
+        else:
             looks += 1
-            passed_s = self._loop.time() - began_s
-            if not told:
-                self._let(self._last[0] + passed_s, 1.0)
-            elif looks >= _SILENT_LOOKS:
-                self._clock.tell(self._clock.monotonic() + passed_s)
-                self._clock.wake()
+            self._let(self._last[0] + STEP_S, self._last[1])
+            if looks >= _SILENT_LOOKS:
+                self._clock.tell(self._clock.monotonic() + now_s - since_s)
+        after_s = _LOOK_S if self._told else STEP_S
+        self._timer = self._loop.call_later(after_s, self._watch, now_s, self._told, looks)

@@ -18,6 +18,7 @@ from panoexec.cli.app import run
 from panoexec.errors import LinkError, UsageError
 from panoexec.sim.config import SimConfig
 from panoexec.sim.dialect import mavlink
+from panoexec.sim.pacing import TIME_COMPONENT, TIME_MESSAGE, told_time_s
 from panoexec.sim.process import free_udp_port, running_simulator
 from panoexec.sim.wire import attach
 
@@ -146,6 +147,30 @@ async def test_a_program_runs_it_and_gets_its_account(tmp_path: Path) -> None:
     assert not alive(pid)
 
 
+async def test_on_a_leash_it_goes_as_far_as_it_is_allowed_and_tells_its_time(ground: socket.socket) -> None:
+    config = SimConfig(port=ground.getsockname()[1], speedup=20.0)
+    async with running_simulator(config, leashed=True) as simulator:
+        for until_s in (0.5, 1.2345678):
+            simulator.allow(until_s, 20.0)
+            told = await asyncio.to_thread(times_until, ground, until_s)
+            assert told == sorted(set(told))
+            assert told[-1] == pytest.approx(until_s, abs=1e-6)
+        simulator.allow(1.0, 20.0)  # it has been there
+    assert simulator.summary["simulated_s"] == 1.2345678
+
+
+def times_until(ground: socket.socket, until_s: float) -> list[float]:
+    """What time it was before the messages of each moment, until that time."""
+    parser, told = mavlink.MAVLink(None), list[float]()
+    while not told or told[-1] < until_s - 1e-6:
+        for message in parser.parse_buffer(ground.recv(65535)) or ():
+            if message.get_type() == TIME_MESSAGE and message.get_srcComponent() == TIME_COMPONENT:
+                told.append(told_time_s(message.time_boot_ms, message.value))
+            else:
+                assert told  # nothing comes before its time
+    return told
+
+
 async def test_a_program_gets_its_errors_as_exceptions(tmp_path: Path, ground: socket.socket) -> None:
     with pytest.raises(UsageError, match="no such file"):
         async with running_simulator(SimConfig(output=tmp_path, scene=tmp_path / "none.jpg", port=free_udp_port())):
@@ -158,6 +183,7 @@ async def test_a_program_gets_its_errors_as_exceptions(tmp_path: Path, ground: s
 PARENT = """
 import asyncio, pathlib, sys
 from panoexec.sim.config import SimConfig
+from panoexec.sim.pacing import TIME_COMPONENT, TIME_MESSAGE, told_time_s
 from panoexec.sim.process import free_udp_port, running_simulator
 
 async def main():
