@@ -14,7 +14,11 @@ from panoexec.clock import SystemClock, VehicleClock, latest_s, work
 def on_this_loop(clock: VehicleClock) -> None:
     """Wake sleepers as a timekeeper does."""
     loop = asyncio.get_running_loop()
-    clock.on_told = lambda: loop.call_soon_threadsafe(clock.wake) and None
+
+    def told() -> None:
+        loop.call_soon_threadsafe(clock.wake)
+
+    clock.on_told = told
 
 
 async def test_time_stands_still_until_it_is_told() -> None:
