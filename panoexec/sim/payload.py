@@ -14,6 +14,7 @@ from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import Faults
 from panoexec.sim.gimbal import GimbalPhysics
 from panoexec.sim.gimbal_component import GimbalComponent
+from panoexec.sim.released_camera import ReleasedCamera
 from panoexec.sim.wire import Link, Message
 from panoexec.sim.world import SimClock, Timeline
 
@@ -24,6 +25,7 @@ class Payload:
     Attributes:
         gimbal: component 154.
         camera: component 100.
+        released: instead of that, a camera that an autopilot triggers without a word to it; None where there is none.
     """
 
     def __init__(
@@ -38,6 +40,9 @@ class Payload:
         develop: Callable[[Exposure, Fix], str],
     ) -> None:
         self.gimbal = GimbalComponent(config, timeline=timeline, physics=physics, faults=faults, link=link)
+        self.released: ReleasedCamera | None = None
+        if config.camera_kind == "servo" and config.attach_url is not None:
+            self.released = ReleasedCamera(config, timeline=timeline, physics=physics, faults=faults, develop=develop)
         self.camera = CameraComponent(
             config, clock=clock, timeline=timeline, gimbal=self.gimbal, faults=faults, link=link, develop=develop
         )
@@ -45,10 +50,14 @@ class Payload:
     def start(self) -> None:
         """Start heartbeats and streams."""
         self.gimbal.start()
-        self.camera.start()
+        if self.released is None:
+            self.camera.start()
 
     def receive(self, message: Message, frame: bytes) -> None:
         """Take one message from the link."""
         del frame
         self.gimbal.receive(message)
-        self.camera.receive(message)
+        if self.released is None:
+            self.camera.receive(message)
+        else:
+            self.released.receive(message)

@@ -21,6 +21,10 @@ from panoexec.sitl.timekeeper import Allow
 
 Note = Callable[[str], None]
 HOST = "127.0.0.1"
+SHUTTER_OUTPUT = 9
+"""The autopilot's output that a camera on a servo hangs on; the motors have the first ones."""
+_CAMERA_FAULTS = frozenset({"photo-lost", "photo-refused", "capture-lost", "capture-twice", "storage-full"})
+"""What a camera can do wrong that speaks for itself."""
 FULL_WIND_M = 25
 """Height from which on the wind is as strong as it was asked to be."""
 
@@ -137,7 +141,7 @@ class SitlVehicle:
             payload_port=payload_port,
             speedup=self.speedup,
             home=(airframe.latitude_deg, airframe.longitude_deg, airframe.home_altitude_m, airframe.heading_deg),
-            parameters=wind_parameters(self.simulation) | pan_parameters(self.simulation),
+            parameters=wind_parameters(self.simulation) | payload_parameters(self.simulation),
         )
         about = {"autopilot": "ardupilot", "simulated": "sitl", "binary": str(self.binary), "seed": payload.seed}
         async with (
@@ -209,12 +213,19 @@ def wind_parameters(simulation: SimConfig) -> dict[str, float]:
     }
 
 
-def pan_parameters(simulation: SimConfig) -> dict[str, float]:
-    """The mount's pan range, where the simulated gimbal has one: 0 to 0 tells ArduPilot that it has two axes."""
+def payload_parameters(simulation: SimConfig) -> dict[str, float]:
+    """What the autopilot must know of the payload, where it is not the usual one.
+
+    A pan range of 0 to 0 tells ArduPilot that the mount has two axes. A camera on a servo is triggered by an output of
+    the autopilot, and reported by it (CAMERA_FEEDBACK) and nobody else.
+    """
     gimbal = simulation.gimbal
-    if gimbal.yaw_endless:
-        return {}
-    return {"MNT1_YAW_MIN": gimbal.yaw.min_deg, "MNT1_YAW_MAX": gimbal.yaw.max_deg}
+    parameters: dict[str, float] = {}
+    if not gimbal.yaw_endless:
+        parameters |= {"MNT1_YAW_MIN": gimbal.yaw.min_deg, "MNT1_YAW_MAX": gimbal.yaw.max_deg}
+    if simulation.camera_kind == "servo":
+        parameters |= {"CAM1_TYPE": 1.0, f"SERVO{SHUTTER_OUTPUT}_FUNCTION": 10.0}
+    return parameters
 
 
 def check_payload_only(simulation: SimConfig, *, option: str) -> None:
@@ -226,10 +237,14 @@ def check_payload_only(simulation: SimConfig, *, option: str) -> None:
     for spec in simulation.faults:
         if spec.name in AUTOPILOT_FAULTS:
             raise UsageError(f"--fault {spec.name}: only the embedded autopilot has it, not that of {option}")
+        if spec.name in _CAMERA_FAULTS and simulation.camera_kind == "servo":
+            raise UsageError(
+                f"--fault {spec.name}: with --trigger servo the autopilot of {option} speaks for the camera"
+            )
     if simulation.autopilot != "ardupilot":
         raise UsageError(f"--autopilot {simulation.autopilot}: {option} is an ArduPilot")
-    if simulation.mount != "mavlink" or simulation.camera_kind != "mavlink":
-        raise UsageError(f"--mount and --trigger servo are of the embedded autopilot, not of {option}")
+    if simulation.mount != "mavlink":
+        raise UsageError(f"--mount {simulation.mount} is of the embedded autopilot, not of {option}")
 
 
 async def _watch(simulator: SimulatorProcess) -> None:

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from panoexec.errors import DeviceError, UsageError
-from panoexec.sim.config import AirframeConfig, SimConfig
+from panoexec.sim.config import AirframeConfig, AxisConfig, GimbalConfig, SimConfig
 from panoexec.sim.faults import AUTOPILOT_FAULTS, parse_fault
-from panoexec.sitl.rigs import ConnectedVehicle, EmbeddedVehicle, SitlVehicle, wind_parameters
+from panoexec.sitl.rigs import ConnectedVehicle, EmbeddedVehicle, SitlVehicle, payload_parameters, wind_parameters
 
 NOWHERE = Path("/nowhere/arducopter")
 
@@ -36,7 +36,7 @@ def test_faults_of_the_embedded_autopilot_are_refused_of_a_real_one(name: str) -
     [
         (SimConfig(autopilot="px4"), "--autopilot px4"),
         (SimConfig(mount="servo"), "--mount"),
-        (SimConfig(camera_kind="servo"), "--trigger"),
+        (SimConfig(camera_kind="servo", faults=(parse_fault("photo-lost"),)), "speaks for the camera"),
     ],
 )
 def test_what_a_real_ardupilot_is_not_is_refused(simulation: SimConfig, named: str) -> None:
@@ -53,6 +53,13 @@ def test_the_wind_is_full_where_the_vehicle_hovers() -> None:
     told = wind_parameters(SimConfig(airframe=AirframeConfig(wind_m_s=8.0, wind_from_deg=135.0)))
     assert (told["SIM_WIND_SPD"], told["SIM_WIND_DIR"], told["SIM_WIND_TURB"]) == (8.0, 135.0, 1.0)
     assert told["SIM_WIND_T_ALT"] < 30
+
+
+def test_the_autopilot_is_told_of_a_mount_that_does_not_pan_and_of_a_shutter_on_its_outputs() -> None:
+    assert payload_parameters(SimConfig()) == {}
+    axis = AxisConfig(rate_deg_s=90.0, acceleration_deg_s2=360.0, min_deg=0.0, max_deg=0.0)
+    told = payload_parameters(SimConfig(gimbal=GimbalConfig(yaw=axis, yaw_endless=False), camera_kind="servo"))
+    assert told == {"MNT1_YAW_MIN": 0.0, "MNT1_YAW_MAX": 0.0, "CAM1_TYPE": 1.0, "SERVO9_FUNCTION": 10.0}
 
 
 def test_a_connection_that_is_none_is_refused_before_anything_starts() -> None:
