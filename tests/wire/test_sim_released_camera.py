@@ -1,4 +1,4 @@
-"""A payload whose camera hangs on the shutter output of a real autopilot: it exposes when that says that it triggered."""
+"""A camera on the shutter output of a real autopilot: the payload exposes when that says that it triggered."""
 
 from __future__ import annotations
 
