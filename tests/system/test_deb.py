@@ -1,0 +1,281 @@
+"""The package on a machine that systemd runs: installed, started, frozen, killed, misconfigured, upgraded, purged.
+
+This installs and purges panoexec on the machine it runs on, so it only runs where that is wanted: as root on a Debian
+booted by systemd, with PANOEXEC_SYSTEMD=1. PANOEXEC_DEB names a package to take instead of building one. The tests are
+the chapters of one story and need each other, in this order.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import pwd
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from panoexec.sim.process import free_udp_port
+from tests.system.daemon import SMALL, ground_station
+from tests.wire.broker import Broker, needs_mosquitto, running_broker
+
+ROOT = Path(__file__).parents[2]
+UNIT = "panoexec.service"
+CONFIG = Path("/etc/panoexec/config.toml")
+STATE = Path("/var/lib/panoexec")
+DROP_IN = Path(f"/run/systemd/system/{UNIT}.d/test.conf")
+WATCHDOG_S = 6
+EDITED = "# edited by the administrator of this machine\n"
+
+
+def _why_not() -> str:
+    if os.environ.get("PANOEXEC_SYSTEMD") != "1":
+        return "installs and purges the package on this machine: set PANOEXEC_SYSTEMD=1 if that is wanted"
+    if os.geteuid() != 0 or not Path("/run/systemd/system").is_dir() or shutil.which("dpkg") is None:
+        return "needs root on a Debian booted by systemd"
+    if STATE.exists() or CONFIG.exists():
+        return f"panoexec is on this machine already ({STATE} or {CONFIG}): nothing of it is touched"
+    return ""
+
+
+pytestmark = [needs_mosquitto, pytest.mark.skipif(bool(_why_not()), reason=_why_not() or "runs")]
+
+
+def sh(*command: str, check: bool = True) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ | {"LC_ALL": "C"})
+    assert not check or done.returncode == 0, f"{' '.join(command)}: {done.stdout}{done.stderr}"
+    return done.stdout
+
+
+def show(name: str) -> str:
+    """A property of the unit."""
+    return sh("systemctl", "show", UNIT, "--property", name, "--value").strip()
+
+
+def wait(what: str, condition: Callable[[], object], limit_s: float = 60.0) -> None:
+    deadline = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < deadline, (
+            f"{what}: not within {limit_s} s; {sh('systemctl', 'status', UNIT, check=False)}"
+        )
+        time.sleep(0.1)
+
+
+def running() -> bool:
+    return show("ActiveState") == "active" and show("SubState") == "running"
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What the daemon talks to, and the package."""
+
+    broker: Broker
+    port: int
+    package: Path
+
+    def configure(self, more: str = "") -> None:
+        CONFIG.write_text(
+            f'{EDITED}[vehicle]\nconnection = "udpin://127.0.0.1:{self.port}"\n'
+            f'[mqtt]\nhost = "127.0.0.1"\nport = {self.broker.port}\n[storage]\nmin_free_mb = 1\n'
+            f'[guards]\nallowed_modes = []\nbattery_floor_frac = 0\n[mission]\nresume = "auto"\n{more}'
+        )
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machine]:
+    folder = tmp_path_factory.mktemp("machine")
+    package = Path(os.environ.get("PANOEXEC_DEB") or _built())
+    port = free_udp_port()
+    simulator = [sys.executable, "-m", "panoexec", "simulate", "--port", str(port)]
+    with running_broker(folder) as broker, (folder / "simulator.log").open("wb") as log:
+        process = subprocess.Popen(simulator, stdout=log, stderr=log)
+        try:
+            yield Machine(broker=broker, port=port, package=package)
+        finally:
+            process.terminate()
+            process.wait(30)
+            DROP_IN.unlink(missing_ok=True)
+            sh("dpkg", "--purge", "panoexec", check=False)
+
+
+def _built() -> Path:
+    sh("make", "-C", str(ROOT), "deb")
+    return max((ROOT / "dist").glob("panoexec_*.deb"), key=lambda path: path.stat().st_mtime)
+
+
+def test_an_installed_package_runs_by_itself(machine: Machine) -> None:
+    sh("dpkg", "--install", str(machine.package))
+    # Type=notify: the unit is active once the daemon has said READY
+    wait("started", running)
+    assert sh("systemctl", "is-enabled", UNIT).strip() == "enabled"
+    assert sh("panoexec", "--version").startswith("panoexec ")
+    sh("panoexec", "check-config", str(CONFIG))
+    account = pwd.getpwnam("panoexec")
+    assert account.pw_uid < 1000
+    assert (STATE.stat().st_uid, STATE.stat().st_mode & 0o777) == (account.pw_uid, 0o750)
+    assert (CONFIG.parent.stat().st_gid, CONFIG.parent.stat().st_mode & 0o777) == (account.pw_gid, 0o750)
+
+
+def test_it_starts_at_boot(machine: Machine) -> None:
+    sh("systemctl", "stop", UNIT)
+    machine.configure()
+    DROP_IN.parent.mkdir(parents=True, exist_ok=True)
+    DROP_IN.write_text(f"[Service]\nWatchdogSec={WATCHDOG_S}\nRestartSec=1\nTimeoutAbortSec=5\n")
+    sh("systemctl", "daemon-reload")
+    # what a boot does in its end
+    sh("systemctl", "start", "multi-user.target")
+    wait("started with the target", running)
+    wait("vehicle found", lambda: show("StatusText") == "idle; vehicle ready")
+
+
+async def test_killed_in_a_mission_it_is_restarted_and_goes_on(machine: Machine) -> None:
+    async with ground_station(machine.broker) as ground:
+        await ground.until(lambda: ground.state.get("reason") == "" and ground.status == "online")
+        start = await ground.ask("start", "kill", **SMALL)
+        assert start["status"] == "ok", start
+        await ground.until(lambda: "shot_accepted" in ground.types())
+        text = f"/{start['data']['images']} of {start['data']['mission_id']}"
+        await ground.until(lambda: show("StatusText").startswith("capturing: shot ") and text in show("StatusText"))
+        restarts, boot = int(show("NRestarts")), ground.state["boot_id"]
+        os.kill(int(show("MainPID")), signal.SIGKILL)
+        await ground.until(lambda: ground.state["boot_id"] != boot)
+        await ground.until(lambda: ground.state["state"] == "complete", 120)
+        assert int(show("NRestarts")) == restarts + 1
+        assert ground.state["mission_id"] == start["data"]["mission_id"]
+    mission = STATE / "missions" / start["data"]["mission_id"]
+    assert json.loads((mission / "manifest.json").read_text())["state"] == "complete"
+    assert (mission / "panorama.pto").exists()
+
+
+def test_the_watchdog_restarts_it_when_its_loop_is_frozen(machine: Machine) -> None:
+    restarts = int(show("NRestarts"))
+    frozen = int(show("MainPID"))
+    os.kill(frozen, signal.SIGSTOP)
+    wait("restarted by the watchdog", lambda: int(show("NRestarts")) == restarts + 1, 3 * WATCHDOG_S + 30)
+    wait("running again", running)
+    assert int(show("MainPID")) != frozen
+
+
+async def test_stopped_in_a_mission_it_says_offline_and_leaves_it_to_be_resumed(machine: Machine) -> None:
+    async with ground_station(machine.broker) as ground:
+        await ground.until(lambda: ground.state.get("reason") == "" and ground.status == "online")
+        start = await ground.ask("start", "stop", **SMALL)
+        assert start["status"] == "ok", start
+        await ground.until(lambda: ground.state["shots_done"] >= 1 and ground.state["state"] == "capturing")
+        await asyncio.to_thread(sh, "systemctl", "stop", UNIT)
+        await ground.until(lambda: ground.status == "offline")
+        assert show("Result") == "success"
+        manifest = _manifest(start)
+        assert manifest["state"] == "paused"
+        await asyncio.to_thread(sh, "systemctl", "start", UNIT)
+        await ground.until(lambda: ground.state["resumable"] == start["data"]["mission_id"])
+        await ground.until(lambda: ground.state["reason"] == "the mission was interrupted and can be resumed")
+        await ground.until(lambda: all(link["ok"] for link in ground.state["link"].values()))
+        assert (await ground.ask("resume", "go on"))["status"] == "ok"
+        await ground.until(lambda: ground.state["state"] == "complete", 120)
+    assert _manifest(start)["state"] == "complete"
+
+
+def _manifest(start: dict[str, Any]) -> dict[str, Any]:
+    path = STATE / "missions" / start["data"]["mission_id"] / "manifest.json"
+    document: dict[str, Any] = json.loads(path.read_text())
+    return document
+
+
+async def test_a_reload_reads_the_configuration_again(machine: Machine) -> None:
+    pid = show("MainPID")
+    async with ground_station(machine.broker) as ground:
+        before = await ground.ask("plan", "before", method="paper")
+        machine.configure("elevation_deg = [-20, 0]\n")
+        sh("systemctl", "reload", UNIT)
+        for attempt in range(100):
+            after = await ground.ask("plan", f"after {attempt}", method="paper")
+            if after["data"]["images"] < before["data"]["images"]:
+                break
+        else:
+            pytest.fail("the new band is not used")
+    assert show("MainPID") == pid
+    wait("running after the reload", running)
+
+
+def test_a_wrong_configuration_is_told_once_and_not_tried_again(machine: Machine) -> None:
+    machine.configure('[log]\nlevel = "shout"\n')
+    with pytest.raises(AssertionError):
+        sh("systemctl", "restart", UNIT)
+    assert (show("ActiveState"), show("SubState"), show("ExecMainStatus")) == ("failed", "failed", "78")
+    time.sleep(3.0)  # three times RestartSec: it is not coming back
+    assert (show("ActiveState"), show("SubState")) == ("failed", "failed")
+    machine.configure()
+    sh("systemctl", "start", UNIT)
+
+
+def test_an_upgrade_keeps_configuration_and_missions(machine: Machine, tmp_path: Path) -> None:
+    missions = sorted(path.name for path in (STATE / "missions").iterdir())
+    assert len(missions) == 2
+    pid = show("MainPID")
+    # both sides have changed the configuration: dpkg would ask, and keeps the administrator's unless told otherwise
+    sh("dpkg", "--install", "--force-confold", str(_newer(machine.package, tmp_path)))
+    wait("started after the upgrade", running)
+    assert show("MainPID") != pid
+    assert "+test" in sh("dpkg-query", "--show", "panoexec")
+    assert CONFIG.read_text().startswith(EDITED)
+    assert sorted(path.name for path in (STATE / "missions").iterdir()) == missions
+    for mission in missions:
+        assert (STATE / "missions" / mission / "journal.sqlite").stat().st_size > 0
+
+
+def _newer(package: Path, folder: Path) -> Path:
+    """The same with a higher version and another configuration, as a release has."""
+    tree, out = folder / "tree", folder / "newer.deb"
+    sh("dpkg-deb", "--raw-extract", str(package), str(tree))
+    control = tree / "DEBIAN" / "control"
+    lines = control.read_text().splitlines()
+    control.write_text("\n".join(f"{x}+test" if x.startswith("Version:") else x for x in lines) + "\n")
+    shipped = tree / "etc/panoexec/config.toml"
+    shipped.write_text(shipped.read_text() + "# new in this version\n")
+    sh("dpkg-deb", "--root-owner-group", "-Zgzip", "-z1", "--build", str(tree), str(out))
+    return out
+
+
+def test_removed_it_leaves_configuration_and_missions_purged_nothing(machine: Machine) -> None:
+    drop_in = Path(f"/etc/systemd/system/{UNIT}.d/serial.conf")
+    drop_in.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copy("/usr/share/panoexec/serial.conf", drop_in)
+    DROP_IN.unlink()
+    sh("systemctl", "daemon-reload")
+    sh("systemctl", "restart", UNIT)
+    sh("dpkg", "--remove", "panoexec")
+    assert show("ActiveState") == "inactive"
+    assert CONFIG.exists()
+    assert (STATE / "missions").is_dir()
+    sh("dpkg", "--purge", "panoexec")
+    left = [path for path in LEFT if Path(path).exists() or Path(path).is_symlink()]
+    assert left == []
+    with pytest.raises(KeyError):
+        pwd.getpwnam("panoexec")
+    assert show("LoadState") == "not-found"
+    assert "panoexec" not in sh(
+        "find", "/etc", "/usr/lib", "/usr/bin", "/usr/share", "/var/lib/panoexec", "-name", "*panoexec*", check=False
+    )
+
+
+LEFT = (
+    "/etc/panoexec",
+    "/var/lib/panoexec",
+    "/run/panoexec",
+    "/usr/lib/panoexec",
+    "/usr/bin/panoexec",
+    "/usr/share/panoexec",
+    f"/usr/lib/systemd/system/{UNIT}",
+    f"/etc/systemd/system/multi-user.target.wants/{UNIT}",
+    f"/etc/systemd/system/{UNIT}.d",
+    f"/var/lib/systemd/deb-systemd-helper-enabled/{UNIT}.dsh-also",
+)
