@@ -152,7 +152,7 @@ async def test_killed_in_a_mission_it_is_restarted_and_goes_on(machine: Machine)
         assert ground.state["mission_id"] == start["data"]["mission_id"]
     mission = STATE / "missions" / start["data"]["mission_id"]
     assert json.loads((mission / "manifest.json").read_text())["state"] == "complete"
-    assert (mission / "panorama.pto").exists()
+    wait("files for stitchers", (mission / "panorama.pto").exists)
 
 
 def test_the_watchdog_restarts_it_when_its_loop_is_frozen(machine: Machine) -> None:
@@ -175,7 +175,9 @@ async def test_stopped_in_a_mission_it_says_offline_and_leaves_it_to_be_resumed(
         assert show("Result") == "success"
         manifest = _manifest(start)
         assert manifest["state"] == "paused"
+        boot = ground.state["boot_id"]
         await asyncio.to_thread(sh, "systemctl", "start", UNIT)
+        await ground.until(lambda: ground.state["boot_id"] != boot and ground.status == "online")
         await ground.until(lambda: ground.state["resumable"] == start["data"]["mission_id"])
         await ground.until(lambda: ground.state["reason"] == "the mission was interrupted and can be resumed")
         await ground.until(lambda: all(link["ok"] for link in ground.state["link"].values()))
