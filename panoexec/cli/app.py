@@ -39,6 +39,7 @@ VERBS: dict[str, Verb] = {
     "dry-run": Verb("dry_run", "fly a whole mission on the embedded simulated vehicle", extra="sim"),
     "report": Verb("report", "write the report of a mission: one HTML page that opens anywhere"),
     "stitch": Verb("stitch", "stitch a mission's photos with Hugin's tools and measure completeness", extra="report"),
+    "experiment": Verb("experiment", "repeat the paper's simulation case: render, stitch, compare", extra="sim"),
     "simulate": Verb("simulate", "run the simulated vehicle alone, to try a ground station or `serve`", extra="sim"),
     "serve": Verb("serve", "run the daemon that a ground station commands by MQTT"),
     "send": Verb("send", "ask a vehicle for something by MQTT and show its answer"),

@@ -1,0 +1,195 @@
+"""Repeat the paper's simulation case: plans photographed in a scene with pointing errors, stitched, and judged.
+
+For each scenario of the paper: its published plans (proposed, HDRpano) and panoexec's certified plan for the same
+camera, band, overlaps and tolerances. Photos are rendered from a scene at a reduced width, with the paper's pointing
+errors (0.017° in roll and pitch, 0.667° in yaw), and stitched as `panoexec stitch` does; the stitcher is told where
+each image was aimed, not where it was taken. Completeness is equation (8). The table stands beside the paper's Table 2.
+
+Needs Hugin's tools:  apt-get install hugin-tools
+Finished cases are kept in the output folder: an interrupted experiment goes on where it stopped.
+
+Exit code 1: a certified plan was not stitched completely.
+
+Examples:
+  panoexec experiment --scenario 1                          25, 28 and 21 images; minutes
+  panoexec experiment --scenario all --plans certified --seeds 5
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from panoexec.cli.output import console, note, percent, print_json, print_table
+from panoexec.errors import DependencyError
+
+if TYPE_CHECKING:
+    from panoexec.experiment.cases import Case
+    from panoexec.experiment.running import Outcome, Setting
+
+_PLANS = ("proposed", "hdrpano", "certified")
+_FORMAT = "panoexec.experiment/1"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options."""
+    parser.add_argument("--scenario", choices=("1", "2", "3", "all"), default="all", help="which of the paper's (all)")
+    parser.add_argument(
+        "--plans", nargs="+", choices=_PLANS, default=list(_PLANS), metavar="PLAN", help="proposed, hdrpano, certified"
+    )
+    parser.add_argument("--seeds", type=_count, default=1, metavar="N", help="runs with other pointing errors (1)")
+    parser.add_argument("--repeats", type=_count, default=1, metavar="N", help="runs with the same errors (1)")
+    parser.add_argument(
+        "--errors",
+        choices=("uniform", "normal"),
+        default="uniform",
+        help="uniform within ± the paper's figures, as tolerances are meant, or normal with these deviations (uniform)",
+    )
+    parser.add_argument("--width", type=_width, metavar="PX", help="width of the photos (640, 420, 520 by scenario)")
+    parser.add_argument("--scene", type=Path, metavar="EQUIRECT", help="a picture instead of the generated landscape")
+    parser.add_argument("--output", type=Path, default=Path("experiment"), metavar="DIR", help="results (experiment)")
+    parser.add_argument("--keep", action="store_true", help="keep photos and panoramas, not only previews")
+    parser.add_argument("--restart", action="store_true", help="forget the results of earlier runs")
+    parser.add_argument("--json", action="store_true", help="one JSON document on stdout")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the cases and print the table."""
+    try:
+        from panoexec.experiment.cases import cases  # noqa: PLC0415
+        from panoexec.experiment.running import Setting  # noqa: PLC0415
+    except ModuleNotFoundError as error:
+        if error.name and error.name.startswith("panoexec"):
+            raise
+        raise DependencyError(
+            f"`experiment` needs the Python package {error.name}: install it with  pip install 'panoexec[sim]'"
+        ) from error
+    scenarios = (1, 2, 3) if args.scenario == "all" else (int(args.scenario),)
+    wanted = cases(scenarios, tuple(dict.fromkeys(args.plans)), args.seeds, args.repeats)
+    setting = Setting(
+        output=args.output,
+        width_px=args.width,
+        spread=args.errors,
+        scene=args.scene,
+        keep=args.keep,
+        restart=args.restart,
+    )
+    outcomes = _run(wanted, setting)
+    if args.json:
+        print_json({"format": _FORMAT, "errors": args.errors, "outcomes": [asdict(outcome) for outcome in outcomes]})
+    else:
+        show(outcomes, args.errors)
+    return 1 if any(outcome.plan == "certified" and outcome.hole_px for outcome in outcomes) else 0
+
+
+def _run(wanted: Sequence[Case], setting: Setting) -> list[Outcome]:
+    """Run under a progress bar on stderr; a line for each case that ends."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn  # noqa: PLC0415
+
+    from panoexec.experiment.running import run_cases  # noqa: PLC0415
+
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+    out = console(stderr=True)
+    with Progress(*columns, console=out, disable=not out.is_terminal) as bar:
+        task = bar.add_task("", total=len(wanted))
+        begun: set[Case] = set()
+
+        def progress(case: Case, step: str, fraction: float, text: str) -> None:
+            if case not in begun:
+                begun.add(case)
+                bar.update(task, completed=len(begun) - 1)
+                out.print(f"{case.name}{': done before' if step == 'done' else ''}", markup=False, highlight=False)
+            bar.update(task, description=f"{step} {100 * fraction:.0f} % {text}")
+
+        outcomes = run_cases(wanted, setting, progress)
+        bar.update(task, completed=len(wanted), description="")
+    return outcomes
+
+
+def show(outcomes: Sequence[Outcome], spread: str) -> None:
+    """The table, beside the paper's."""
+    from panoexec.experiment.running import merged  # noqa: PLC0415
+
+    groups = merged(outcomes)
+    columns = (
+        "scenario", "plan", "images", "Table 2", "completeness", "Table 2 ", "runs", "holes", "not tied",
+        "misalignment", "photo", "s a run",
+    )  # fmt: skip
+    how = "uniform within ±" if spread == "uniform" else "normal with deviations of "
+    print_table(
+        "The paper's simulation case (Table 2), stitched anew",
+        columns,
+        [_row(group) for group in groups],
+        left=("plan",),
+        caption=f"pointing errors {how}0.017° in pitch and roll, 0.667° in yaw; completeness of the worst run",
+    )
+    worst = [min(group, key=lambda outcome: outcome.completeness) for group in groups]
+    for outcome in worst:
+        if outcome.hole_px:
+            where = ", ".join(f"{elevation:+.1f}°" for elevation in outcome.hole_elevations_deg)
+            note(
+                f"scenario {outcome.scenario}, {outcome.plan}, seed {outcome.seed}: {outcome.holes} holes"
+                f" ({outcome.hole_px} of {outcome.ground_px} px), at elevation {where}"
+            )
+
+
+def _row(group: Sequence[Outcome]) -> tuple[str, ...]:
+    from panoexec.experiment.cases import TABLE_2  # noqa: PLC0415
+
+    first = group[0]
+    paper: Any = TABLE_2.get((first.scenario, first.plan))
+    worst = min(outcome.completeness for outcome in group)
+    return (
+        str(first.scenario),
+        first.plan,
+        str(first.images) + _saved(first),
+        "-" if paper is None else str(paper.images),
+        _completeness(worst),
+        "-" if paper is None else percent(paper.completeness, 0 if paper.completeness == 1 else 2),
+        str(len(group)),
+        _span([outcome.holes for outcome in group]),
+        _span([outcome.untied for outcome in group]),
+        f"{max(outcome.misalignment_deg for outcome in group):.3f}°",
+        f"{first.photo_width_px} px",
+        f"{sum(outcome.seconds for outcome in group) / len(group):.0f}",
+    )
+
+
+def _saved(outcome: Outcome) -> str:
+    """How many images fewer than published."""
+    from panoexec.experiment.cases import TABLE_2  # noqa: PLC0415
+
+    if outcome.plan != "certified":
+        return ""
+    published = TABLE_2[outcome.scenario, "proposed"].images
+    return f" ({100 * (outcome.images / published - 1):+.0f} %)"
+
+
+def _span(values: Sequence[int]) -> str:
+    low, high = min(values), max(values)
+    return str(low) if low == high else f"{low}-{high}"
+
+
+def _completeness(fraction: float) -> str:
+    """Never 100 % by rounding."""
+    digits = 2
+    while fraction < 1 and round(100 * fraction, digits) >= 100 and digits < 9:
+        digits += 1
+    return percent(fraction, digits)
+
+
+def _count(text: str) -> int:
+    value = int(text) if text.isdecimal() else 0
+    if not 1 <= value <= 1000:
+        raise argparse.ArgumentTypeError(f"{text}: accepted are 1 to 1000")
+    return value
+
+
+def _width(text: str) -> int:
+    value = int(text) if text.isdecimal() else 0
+    if not 128 <= value <= 20_000:
+        raise argparse.ArgumentTypeError(f"{text}: accepted are 128 to 20000 px")
+    return value

@@ -1,0 +1,1 @@
+"""The paper's simulation case: its plans and ours, photographed in a scene with its errors, stitched, and judged."""
