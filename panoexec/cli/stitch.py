@@ -19,7 +19,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from panoexec.cli.output import console, note, percent, print_facts, print_json, print_table
-from panoexec.errors import DependencyError
+from panoexec.errors import DependencyError, UsageError
+from panoexec.mission_dir import MissionDirectory
 
 if TYPE_CHECKING:
     from panoexec.stitching.mission import StitchInput
@@ -67,12 +68,25 @@ def run(args: argparse.Namespace) -> int:
         restart=args.restart,
     )
     result = _stitch(mission, options)
+    _show_in_report(mission)
     if args.json:
         print_json(result.to_json())
     else:
         show(result, mission)
     whole = result.completeness.hole_px == 0 and not result.left_out and not mission.missing_shots
     return 0 if whole else 1
+
+
+def _show_in_report(mission: StitchInput) -> None:
+    """Put the panorama into the mission's report; the panorama is there even if the report cannot be written."""
+    from panoexec.report import write_report  # noqa: PLC0415
+
+    try:
+        report = write_report(MissionDirectory(mission.folder))
+    except UsageError as error:
+        note(f"the report was not written anew: {error}")
+    else:
+        note(f"report: {report.path}")
 
 
 def _stitch(mission: StitchInput, options: StitchOptions) -> StitchResult:

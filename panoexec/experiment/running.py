@@ -187,10 +187,11 @@ class _Work:
     def _judged(self, result: StitchResult) -> Outcome:
         verdict, case = result.completeness, self._case
         aligned = parse_pto((self._folder / "stitch" / "aligned.pto").read_text(encoding="utf-8"))
-        untied = set(result.untied)
-        tied = [number for number, image in enumerate(aligned.images) if image.file_name not in untied]
-        by_name = {f"images/IMG_{shot.index:04d}.jpg": number for number, shot in enumerate(self._plan.shots)}
-        order = [by_name[aligned.images[number].file_name] for number in tied]
+        names = [Path(image.file_name).name for image in aligned.images]
+        untied = {Path(name).name for name in result.untied}
+        tied = [number for number, name in enumerate(names) if name not in untied]
+        places = {f"IMG_{shot.index:04d}.jpg": number for number, shot in enumerate(self._plan.shots)}
+        order = [places[names[number]] for number in tied]
         truth = true_rotations(self._plan, self._errors)[order]
         return Outcome(
             **asdict(case),

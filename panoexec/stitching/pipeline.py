@@ -152,7 +152,7 @@ class Stitcher:
             key, matched.read_text(encoding="utf-8"), str(self._options.refine_lens), repr(self._mission.tolerance)
         )
         aligned = self._step("align", key, self._work / "aligned.pto", lambda: self._align(measured, matched))
-        project = self._on_canvas(parse_pto(aligned.read_text(encoding="utf-8")))
+        project = self._on_canvas(_from_work(parse_pto(aligned.read_text(encoding="utf-8"))))
         renderer = self._renderer(project)
         ground = repr((self._options.horizon_deg, self._mission.band, self._mission.masks))
         key = _digest(key, render_pto(project), ground, str(self._options.memory_bytes))
@@ -193,7 +193,7 @@ class Stitcher:
 
     def _match(self, measured: PtoProject) -> None:
         found = find_points(measured, self._mission.folder, self._work, self._told("match"))
-        write_atomically(self._work / "matched.pto", render_pto(found))
+        write_atomically(self._work / "matched.pto", render_pto(_in_work(found)))
 
     def _align(self, measured: PtoProject, matched: Path) -> None:
         """Adjust; leave `aligned.pto`, which Hugin opens, and what is known of the alignment beside it."""
@@ -216,7 +216,7 @@ class Stitcher:
             "correction_deg": round(correction, 4),
         }
         write_atomically(self._work / "alignment.json", json.dumps(facts, indent=1) + "\n")
-        write_atomically(self._work / "aligned.pto", render_pto(aligned))
+        write_atomically(self._work / "aligned.pto", render_pto(_in_work(aligned)))
 
     def _on_canvas(self, project: PtoProject) -> PtoProject:
         """The project on the canvas asked for; matching and aligning do not depend on it."""
@@ -351,6 +351,21 @@ def _aligned(measured: PtoProject, result: Adjustment, kept: Points) -> PtoProje
         control_points=as_control_points(kept),
         optimise=tuple((name, number) for number in range(1, len(measured.images)) for name in "ypr"),
     )
+
+
+def _in_work(project: PtoProject) -> PtoProject:
+    """The project as it must lie in the folder `stitch`: Hugin looks for photos from where the project is."""
+    images = (
+        image if Path(image.file_name).is_absolute() else replace(image, file_name=f"../{image.file_name}")
+        for image in project.images
+    )
+    return replace(project, images=tuple(images))
+
+
+def _from_work(project: PtoProject) -> PtoProject:
+    """The project with names relative to the mission directory again."""
+    images = (replace(image, file_name=image.file_name.removeprefix("../")) for image in project.images)
+    return replace(project, images=tuple(images))
 
 
 def _largest_turn_deg(measured: PtoProject, result: Adjustment) -> float:

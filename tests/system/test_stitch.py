@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ import pytest
 
 from panoexec.angles import FloatArray, angle_between
 from panoexec.cli import app
+from panoexec.exports import export_set, write_exports
+from panoexec.manifest import read_manifest
 from panoexec.optics import Camera
 from panoexec.planning.model import Band
 from panoexec.pto import parse_pto
@@ -70,7 +73,40 @@ def test_a_complete_mission_is_stitched_complete(stitched: tuple[int, Path]) -> 
     assert set(document["seconds"]) == {"match", "align", "render", "finish"}
     left = {path.name for path in work.iterdir()}
     assert {"panorama.tif", "panorama.jpg", "aligned.pto", "stitch.json"} <= left
+    assert (work.parent / "report.html").exists()
     assert not left & {"blocks", "remapped", "panorama.tif.part"}
+
+
+def test_the_projects_open_in_hugins_tools_without_a_warning(
+    flown: tuple[Path, FloatArray], stitched: tuple[int, Path], tmp_path: Path
+) -> None:
+    """Read, checked, and one image remapped from each: photos are found from where the project lies."""
+    for project in (flown[0] / "panorama.pto", stitched[1] / "matched.pto", stitched[1] / "aligned.pto"):
+        if project.name == "panorama.pto":
+            write_exports(export_set(read_manifest(flown[0] / "manifest.json"), flown[0]), flown[0])
+        for command in (
+            ["pto_var", "--opt=y,p,r", "-o", str(tmp_path / "set.pto"), str(project)],
+            ["pano_modify", "--straighten", "-o", str(tmp_path / "modified.pto"), str(project)],
+            ["nona", "-i", "0", "-o", str(tmp_path / "image"), str(project)],
+        ):
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            said = (done.stdout + done.stderr).lower()
+            assert done.returncode == 0, said
+            assert not [word for word in ("warning", "error", "unable", "fail", "cannot") if word in said], said
+
+
+def test_all_images_are_connected_after_the_search_for_control_points(
+    flown: tuple[Path, FloatArray], stitched: tuple[int, Path], tmp_path: Path
+) -> None:
+    write_exports(export_set(read_manifest(flown[0] / "manifest.json"), flown[0]), flown[0])
+    found = tmp_path / "found.pto"
+    subprocess.run(
+        ["cpfind", "--prealigned", "-o", str(found), str(flown[0] / "panorama.pto")], capture_output=True, check=True
+    )
+    for project in (found, stitched[1] / "matched.pto", stitched[1] / "aligned.pto"):
+        done = subprocess.run(["checkpto", str(project)], capture_output=True, text=True, check=False)
+        assert "All images are connected." in done.stdout, done.stdout
+        assert done.returncode == 0
 
 
 def test_the_images_are_where_they_were_taken(flown: tuple[Path, FloatArray], stitched: tuple[int, Path]) -> None:
