@@ -26,7 +26,7 @@ from panoexec.mission.executor import Mission
 from panoexec.mission.limit import limit_steps_s
 from panoexec.mission.record import MissionRecord, Verdict
 from panoexec.mission.settings import MissionSettings
-from panoexec.mission_dir import existing_mission_directory
+from panoexec.mission_dir import discard_mission_directory, existing_mission_directory
 from panoexec.mission_session import Devices, MissionSession, StoredMission, create_mission, open_mission
 from panoexec.planning.model import Certificate, Plan, Shot
 from panoexec.pose_reading import pose_of, read_pose
@@ -142,7 +142,8 @@ async def run_dry_run(
 ) -> DryRunSummary:
     """Fly a new mission on a new simulated vehicle.
 
-    Cancelling it stops the mission at once and everything that was started; the mission can be resumed.
+    Cancelling it stops the mission at once and everything that was started; the mission can be resumed. One that had
+    not begun, because the vehicle could not be started, found or flown, leaves nothing.
 
     Args:
         options: what and on what.
@@ -163,9 +164,20 @@ async def run_dry_run(
     stored = await create_mission(
         options.storage, plan=options.plan, settings=options.settings, now_utc_s=SystemClock().time(), extra=extra
     )
-    return await _fly(
-        stored, vehicle, options.simulation, options.images, options.reference, on_event, on_mission, note
-    )
+    begun = False
+
+    def begins(mission: Mission) -> None:
+        nonlocal begun
+        begun = True
+        on_mission(mission)
+
+    try:
+        return await _fly(
+            stored, vehicle, options.simulation, options.images, options.reference, on_event, begins, note
+        )
+    finally:
+        if not begun:
+            await asyncio.to_thread(discard_mission_directory, stored.directory)
 
 
 async def resume_dry_run(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
+import shutil
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -71,6 +73,13 @@ def new_mission_directory(storage: Path, *, now_utc_s: float) -> MissionDirector
         except OSError as error:
             raise _unusable(path, error) from error
         return MissionDirectory(path)
+
+
+def discard_mission_directory(directory: MissionDirectory) -> None:
+    """Remove the directory of a mission that never began; the folder `missions` too, if it was its only one."""
+    shutil.rmtree(directory.path, ignore_errors=True)
+    with contextlib.suppress(OSError):  # it holds others
+        directory.path.parent.rmdir()
 
 
 def existing_mission_directory(path: Path) -> MissionDirectory:

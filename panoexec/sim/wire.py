@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import errno
 import socket
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeAlias
 from urllib.parse import urlsplit
@@ -86,7 +87,7 @@ def _parser() -> Any:
     return parser
 
 
-class _SocketLink:
+class _SocketLink(ABC):
     """What UDP and TCP have in common.
 
     Attributes:
@@ -122,8 +123,9 @@ class _SocketLink:
             data, self._outgoing = self._outgoing, bytearray()
             self._write(data)
 
+    @abstractmethod
     def _write(self, data: bytearray) -> None:
-        raise NotImplementedError
+        """Put bytes on the wire."""
 
     def close(self) -> None:
         """Close the socket."""
@@ -131,8 +133,9 @@ class _SocketLink:
             self._loop.remove_reader(self._socket.fileno())
             self._socket.close()
 
+    @abstractmethod
     def _readable(self) -> None:
-        raise NotImplementedError
+        """Take what the socket has."""
 
     def _feed(self, data: bytes) -> None:
         for message in self._parser.parse_buffer(data) or ():

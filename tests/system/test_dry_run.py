@@ -4,6 +4,7 @@ import json
 import logging
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -112,8 +113,10 @@ def test_drift_is_rejected_with_a_reason_and_retaken(tmp_path: Path) -> None:
         (("--overlap", "1.2"), 2, "1.2"),
         (("--overlap", "15"), 2, "0.15"),
         (("--elevation", "30", "-90"), 2, "upside down"),
-        (("--speedup", "0"), 2, "--speedup"),
-        (("--fault", "gremlins"), 2, "gremlins"),
+        (("--speedup", "0"), 2, "--speedup 0: accepted is more than 0"),
+        (("--speedup", "-3"), 2, "--speedup -3: accepted is more than 0"),
+        (("--speedup", "nan"), 2, "--speedup nan: accepted is more than 0"),
+        (("--fault", "gremlins"), 2, "unknown fault 'gremlins'; known are attitude-frozen, attitude-nan"),
         (("--sitl", "/no/such/binary"), 2, "no such file"),
         (("--sitl", __file__), 2, "is a script"),
         (("--scene", __file__), 2, "is no image"),
@@ -134,6 +137,33 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert part in err
     assert len(err.strip().splitlines()) == 1
     assert out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_mission_that_never_began_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    binary = tmp_path / "arducopter"
+    binary.write_text(f"#!{sys.executable} -S\nprint('panic: no frame'); raise SystemExit(7)\n", encoding="utf-8")
+    binary.chmod(0o755)
+    output = tmp_path / "out"
+    assert run(["dry-run", *SMALL, "--sitl", str(binary), "--output", str(output)]) == 3
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.splitlines()[-1] == (
+        f"panoexec: the SITL {binary} has ended by itself (exit code 7); its last words: panic: no frame"
+    )
+    assert list(output.iterdir()) == []
+
+
+def test_a_vehicle_on_a_port_in_use_is_one_line_and_leaves_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("0.0.0.0", 0))
+        url = f"udpin://0.0.0.0:{taken.getsockname()[1]}"
+        assert run(["dry-run", *SMALL, "--sitl-connect", url, "--output", str(tmp_path)]) == 3
+    said = capsys.readouterr().err.splitlines()
+    assert said[-1].startswith(f"panoexec: cannot open {url}: UDP port")
+    assert "in use" in said[-1]
     assert list(tmp_path.iterdir()) == []
 
 
