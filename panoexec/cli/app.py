@@ -109,7 +109,9 @@ def _dispatch(argv: list[str]) -> int:
     parser = Parser(prog=f"panoexec {name}", description=module.__doc__, formatter_class=_Formatter, allow_abbrev=False)
     module.add_arguments(parser)
     try:
-        args = parser.parse_args(rest)
+        # options may stand between a verb's fields where it says so
+        parse = parser.parse_intermixed_args if getattr(module, "INTERMIXED", False) else parser.parse_args
+        args = parse(rest)
     except SystemExit as done:  # --help
         return int(done.code or 0)
     return int(module.run(args))

@@ -28,13 +28,14 @@ from panoexec.errors import UsageError
 from panoexec.mqtt.ground import GroundStation
 from panoexec.mqtt.messages import REQUESTS
 
+INTERMIXED = True
 _WRONG = frozenset({"too_large", "not_json", "unknown_command", "invalid", "conflict", "planning"})
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     parser.add_argument("command", metavar="COMMAND", help=", ".join(REQUESTS))
-    parser.add_argument("fields", nargs="*", metavar="KEY=VALUE", help="of the request, right after the command")
+    parser.add_argument("fields", nargs="*", metavar="KEY=VALUE", help="of the request")
     parser.add_argument("--plan", type=Path, metavar="PLAN.json", help="for plan and start: a whole plan file")
     parser.add_argument("--timeout", type=positive, default=60.0, metavar="S", help="to wait for the answer (60)")
     parser.add_argument("--json", action="store_true", help="the answer as one JSON document on stdout")

@@ -1,7 +1,8 @@
 """Watch a vehicle by MQTT: a progress bar and the last shots, until its mission ends or Ctrl-C.
 
-Exit codes, once a mission ended: 0 complete, 1 incomplete or aborted, 3 failed. With --all one line a vehicle, until
-Ctrl-C. With --json one document at the end: the last status and state, and every event that was heard.
+Exit codes, once a mission ended: 0 complete, 1 incomplete or aborted, 3 failed; 3 also if nothing was heard of the
+vehicle or there is no broker. With --all one line a vehicle, until Ctrl-C. With --json one document at the end, an
+interrupted one too: the last status and state, and every event that was heard. A broker that goes away is waited for.
 
 Examples:
   panoexec watch --host broker.local --vehicle drone
@@ -12,50 +13,21 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-from contextlib import aclosing, suppress
-from dataclasses import dataclass, field
-from typing import Any
+from contextlib import aclosing
 
-from rich.console import Group
 from rich.live import Live
-from rich.progress_bar import ProgressBar
-from rich.table import Table
 
 from panoexec.cli.broker_options import add_broker_arguments, broker_of
-from panoexec.cli.output import console, minutes, print_json
+from panoexec.cli.output import console, note, print_json
 from panoexec.cli.planning_options import positive
+from panoexec.cli.watch_view import ENDED, Watched, fleet_view, mission_view
 from panoexec.config import MqttSection
-from panoexec.mqtt.ground import GroundStation, Heard
+from panoexec.errors import LinkError
+from panoexec.mqtt.ground import GroundStation
 
-_EXIT = {"complete": 0, "incomplete": 1, "aborted": 1, "failed": 3}
-_LAST_SHOTS = 10
-
-
-@dataclass(slots=True)
-class Watched:
-    """What was heard of one vehicle."""
-
-    status: str = ""
-    state: dict[str, Any] = field(default_factory=dict)
-    events: list[dict[str, Any]] = field(default_factory=list)
-    seen: set[str] = field(default_factory=set)
-    flying: bool = False
-    ended: str = ""
-
-    def hear(self, heard: Heard) -> None:
-        """Take a message; a repeated event is dropped."""
-        document = heard.document
-        if heard.kind == "status":
-            self.status = str(document)
-        elif heard.kind == "state" and isinstance(document, dict):
-            self.state = document
-            state = str(document.get("state"))
-            if state in _EXIT and self.flying:
-                self.ended = state
-            self.flying = self.flying or state in {"preflight", "capturing", "paused", "finishing"}
-        elif heard.kind == "event" and isinstance(document, dict) and str(document.get("id")) not in self.seen:
-            self.seen.add(str(document.get("id")))
-            self.events.append(document)
+EXIT_INTERRUPTED = 130
+_AGAIN_S = 1.0
+_LAST_EVENTS_S = 3.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,69 +43,70 @@ def run(args: argparse.Namespace) -> int:
     """Watch."""
     section, vehicle = broker_of(args)
     vehicles: dict[str, Watched] = {}
-    with suppress(TimeoutError):
+    interrupted = False
+    try:
         asyncio.run(_watch(section, None if args.all else vehicle, vehicles, args))
+    except TimeoutError:
+        pass
+    except KeyboardInterrupt:
+        interrupted = True
     if args.json:
         heard = {
             name: {"status": one.status, "state": one.state, "events": one.events}
             for name, one in sorted(vehicles.items())
         }
         print_json(heard if args.all else heard.get(vehicle, {"status": "", "state": {}, "events": []}))
+    if interrupted:
+        return EXIT_INTERRUPTED
+    if args.all:
+        return 0
     watched = vehicles.get(vehicle)
-    return _EXIT.get(watched.ended, 0) if watched is not None and not args.all else 0
+    if watched is None:
+        note(f"panoexec: nothing was heard of {vehicle}: is its id right ([vehicle] id), and did it ever connect?")
+        return LinkError.exit_code
+    return ENDED.get(watched.ended, 0)
 
 
 async def _watch(
     section: MqttSection, vehicle: str | None, vehicles: dict[str, Watched], args: argparse.Namespace
 ) -> None:
-    out = console(stderr=True)
-    async with asyncio.timeout(args.timeout), GroundStation(section) as ground:
-        with Live(console=out, auto_refresh=False, transient=args.json) as live:
-            async with aclosing(ground.listen(vehicle)) as messages:
-                async for heard in messages:
-                    one = vehicles.setdefault(heard.vehicle, Watched())
-                    one.hear(heard)
-                    live.update(_fleet(vehicles) if vehicle is None else _mission(heard.vehicle, one), refresh=True)
-                    if vehicle is not None and one.ended and not args.follow:
+    """Watch until the mission ends; a broker that was there once is waited for."""
+    known, told = False, ""
+    async with asyncio.timeout(args.timeout) as limit:
+        with Live(console=console(stderr=True), auto_refresh=False, transient=args.json) as live:
+            while True:
+                try:
+                    async with GroundStation(section) as ground:
+                        known = True
+                        await _listen(ground, vehicle, vehicles, live, limit if not args.follow else None)
                         return
+                except LinkError as error:
+                    if not known:
+                        raise
+                    if str(error) != told:
+                        told = str(error)
+                        live.console.print(f"{told}: trying again")
+                    await asyncio.sleep(_AGAIN_S)
 
 
-def _mission(name: str, one: Watched) -> Group:
-    state = one.state
-    total, done = state.get("shots_total") or 0, state.get("shots_done") or 0
-    eta = state.get("eta_s")
-    head = Table.grid(padding=(0, 2))
-    head.add_row(
-        name,
-        one.status or "unknown",
-        str(state.get("state", "")),
-        ProgressBar(total=max(total, 1), completed=done, width=30),
-        f"{done}/{total}",
-        f"{state.get('retakes', 0)} retakes",
-        "" if eta is None else f"{minutes(eta)} left",
-        str(state.get("reason") or ""),
-    )
-    shots = Table(box=None, padding=(0, 2))
-    for column in ("shot", "attempt", "event", "reason"):
-        shots.add_column(column)
-    for event in [event for event in one.events if "shot" in event and "attempt" in event][-_LAST_SHOTS:]:
-        shots.add_row(str(event["shot"]), str(event["attempt"]), str(event["type"]), str(event.get("reason") or ""))
-    return Group(head, shots)
-
-
-def _fleet(vehicles: dict[str, Watched]) -> Table:
-    table = Table(box=None, padding=(0, 2))
-    for column in ("vehicle", "status", "state", "shots", "battery", "reason"):
-        table.add_column(column)
-    for name, one in sorted(vehicles.items()):
-        state = one.state
-        battery = state.get("battery_frac")
-        table.add_row(
-            name,
-            one.status or "unknown",
-            str(state.get("state", "")),
-            f"{state.get('shots_done', 0)}/{state.get('shots_total', 0)}",
-            "-" if battery is None else f"{100 * battery:.0f} %",
-            str(state.get("reason") or ""),
-        )
-    return table
+async def _listen(
+    ground: GroundStation,
+    vehicle: str | None,
+    vehicles: dict[str, Watched],
+    live: Live,
+    limit: asyncio.Timeout | None,
+) -> None:
+    """Listen until the one vehicle's mission ends; for ever without a limit that could be brought forward."""
+    async with aclosing(ground.listen(vehicle)) as messages:
+        async for heard in messages:
+            one = vehicles.setdefault(heard.vehicle, Watched())
+            one.hear(heard.kind, heard.document)
+            view = fleet_view(vehicles) if vehicle is None else mission_view(heard.vehicle, one)
+            live.update(view, refresh=True)
+            if vehicle is None or limit is None or not one.ended:
+                continue
+            if one.finished:
+                return
+            # the state overtakes events: the last of them are still on their way
+            soon = asyncio.get_running_loop().time() + _LAST_EVENTS_S
+            limit.reschedule(min(limit.when() or soon, soon))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import socket
 from collections import Counter
 from itertools import islice
 from pathlib import Path
@@ -98,8 +99,12 @@ def threads_and_files(pid: int) -> tuple[int, int]:
 
 async def crowd_at(ground: Ground, port: int, pid: int) -> tuple[Crowd, float]:
     """Send them all; returns what came of it and by how much the daemon's memory grew, MB."""
-    properties = aiomqtt.ProtocolVersion.V5
-    async with aiomqtt.Client("127.0.0.1", port, protocol=properties) as client:
+    async with aiomqtt.Client(
+        "127.0.0.1",
+        port,
+        protocol=aiomqtt.ProtocolVersion.V5,
+        socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
+    ) as client:
         await client.subscribe(f"{BASE}/response/#", qos=1)
         crowd = Crowd(client)
         listening = asyncio.create_task(crowd.listen(), name="answers")

@@ -1,0 +1,151 @@
+"""`send` and `watch` as processes, with the daemon, a simulated vehicle and a real broker."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import aiomqtt
+import pytest
+
+from panoexec.cli.app import run
+from panoexec.sim.config import SimConfig
+from panoexec.sim.process import free_udp_port, running_simulator
+from tests.system.daemon import SPEEDUP, ground_station, ready, serving
+from tests.wire.broker import Broker, eventually, free_tcp_port, needs_mosquitto, running_broker
+
+pytestmark = needs_mosquitto
+
+ROW = ("elevation_deg=[-30,0]", "azimuth_deg=[0,120]", "method=paper")
+
+
+@asynccontextmanager
+async def panoexec(*arguments: object) -> AsyncIterator[asyncio.subprocess.Process]:
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "panoexec", *map(str, arguments)),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+    )
+    try:
+        yield process
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+
+
+async def outcome(*arguments: object) -> tuple[int, str, str]:
+    async with panoexec(*arguments) as process:
+        out, err = await process.communicate()
+        assert process.returncode is not None
+        return process.returncode, out.decode(), err.decode()
+
+
+async def document(process: asyncio.subprocess.Process) -> dict[str, Any]:
+    """The one JSON document of a process that ends."""
+    out, err = await asyncio.wait_for(process.communicate(), 60)
+    assert out, err.decode()
+    return dict(json.loads(out))
+
+
+async def sends(broker: Broker) -> None:
+    """What `send` prints and how it ends."""
+    where = ("--port", broker.port)
+    code, out, _ = await outcome("send", "plan", *ROW, *where, "overlap=0.2", "tolerance_deg.yaw=1.0", "--json")
+    answer = json.loads(out)
+    assert (code, answer["status"]) == (0, "ok")
+    assert answer["data"]["images"] >= 2
+    code, out, _ = await outcome("send", *where, "get")
+    assert code == 0
+    assert "idle" in out
+    code, out, err = await outcome("send", "pause", *where)
+    assert (code, out) == (1, "")
+    assert "drone refused pause: refused: cannot pause: no mission is under way" in err
+    code, _, err = await outcome("send", "plan", "overlap=2", *where)
+    assert code == 2
+    assert "invalid (overlap)" in err
+
+
+async def test_send_and_watch_from_the_first_answer_to_the_last_event(tmp_path: Path) -> None:
+    port = free_udp_port()
+    with running_broker(tmp_path) as broker:
+        simulator = running_simulator(SimConfig(port=port, speedup=SPEEDUP))
+        async with simulator, ground_station(broker) as ground, serving(tmp_path, broker, port):
+            await ready(ground)
+            await sends(broker)
+            watching = ("watch", "--port", broker.port, "--json", "--timeout", 120)
+            async with panoexec(*watching) as one, panoexec(*watching, "--all") as fleet:
+                async with aiomqtt.Client("127.0.0.1", broker.port) as other:
+                    await other.publish("panoexec/kite/status", "offline", qos=1, retain=True)
+                    await listening(broker, 2)
+                    code, out, err = await outcome("send", "start", *ROW, "--port", broker.port, "--json")
+                    assert code == 0, err
+                    seen = await document(one)
+                assert one.returncode == 0
+                assert (seen["status"], seen["state"]["state"]) == ("online", "complete")
+                assert seen["state"]["mission_id"] == json.loads(out)["data"]["mission_id"]
+                numbers = [int(event["id"].rpartition("/")[2]) for event in seen["events"]]
+                assert numbers == list(range(numbers[0], numbers[-1] + 1)), "each event once, in order"
+                assert seen["events"][-1]["type"] == "mission_finished"
+                fleet.send_signal(signal.SIGINT)
+                all_seen = await document(fleet)
+                assert fleet.returncode == 130
+                assert all_seen["kite"]["status"] == "offline"
+                assert all_seen["drone"]["status"] == "online"
+                assert all_seen["drone"]["events"]
+            async with panoexec("watch", "--port", broker.port) as one:
+                await listening(broker, 3)
+                assert (await ground.ask("start", "long", method="paper"))["status"] == "ok"
+                assert (await ground.ask("abort", "rain", reason="rain"))["status"] == "ok"
+                _, err_bytes = await asyncio.wait_for(one.communicate(), 60)
+                assert one.returncode == 1
+                assert "aborted" in err_bytes.decode()
+
+
+async def listening(broker: Broker, times: int) -> None:
+    """Wait until the broker has let so many of `watch`, counted from its start, listen to the last of their topics."""
+    await eventually(lambda: broker.log.read_text(encoding="utf-8").count("/event (QoS 1)") >= times, 60)
+
+
+async def test_nobody_answers(tmp_path: Path) -> None:
+    with running_broker(tmp_path) as broker:
+        code, out, err = await outcome("send", "get", "--port", broker.port, "--timeout", "0.3")
+        assert (code, out) == (3, "")
+        assert "drone did not answer get within 0.3 s" in err
+        code, _, err = await outcome("watch", "--port", broker.port, "--timeout", "0.5", "--vehicle", "kite")
+        assert code == 3
+        assert "nothing was heard of kite" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "says"),
+    [
+        (["send", "fly"], 2, "there is no command 'fly'"),
+        (["send", "pausee"], 2, "did you mean 'pause'"),
+        (["send", "skip", "shot"], 2, "expected KEY=VALUE"),
+        (["send", "skip", "a=1", "a.b=2"], 2, "a was given as a value already"),
+        (["send", "plan", "--plan", "none.json"], 2, "none.json"),
+        (["send", "get", "--vehicle", "a/b"], 2, "an id has no / + or #"),
+        (["watch", "--prefix", "/x"], 2, "not a topic prefix"),
+        (["watch", "--password-file", "x"], 2, "password_file needs username"),
+    ],
+)
+def test_wrong_usage(arguments: list[str], code: int, says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(arguments) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert says in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("verb", [["send", "get"], ["watch"]])
+def test_no_broker(verb: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    port = free_tcp_port()
+    assert run([*verb, "--port", str(port)]) == 3
+    assert f"no broker at localhost:{port}: [Errno 111] Connection refused" in capsys.readouterr().err

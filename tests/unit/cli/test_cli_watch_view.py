@@ -1,0 +1,107 @@
+"""What is shown of vehicles, from messages as they come: in order, twice, incomplete."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from rich.console import Console, RenderableType
+
+from panoexec.cli.watch_view import Watched, fleet_view, mission_view
+
+LINKS = {name: {"ok": name != "camera", "age_s": 0.1} for name in ("autopilot", "gimbal", "camera")}
+STATE: dict[str, Any] = {
+    "state": "capturing",
+    "shots_total": 18,
+    "shots_done": 9,
+    "retakes": 2,
+    "eta_s": 72.4,
+    "reason": "wind",
+    "link": LINKS,
+    "battery_frac": 0.744,
+}
+
+
+def shown(view: RenderableType) -> str:
+    console = Console(width=120, record=True, file=open("/dev/null", "w", encoding="utf-8"))  # noqa: SIM115, PTH123
+    with console.file:
+        console.print(view)
+        return console.export_text()
+
+
+def event(kind: str, number: int, **fields: Any) -> dict[str, Any]:
+    return {"type": kind, "id": f"m/{number}", **fields}
+
+
+def test_a_mission_is_shown_with_progress_and_the_last_attempts() -> None:
+    one = Watched()
+    one.hear("status", "online")
+    one.hear("state", STATE)
+    errors = {"pitch_deg": -2.0, "roll_deg": 0.01, "yaw_deg": None}
+    for document in (
+        event("mission_started", 1, shots_total=18),
+        event("shot_started", 2, shot=3, attempt=1, pitch_deg=-29.5, yaw_deg=154.3),
+        event("shot_exposed", 3, shot=3, attempt=1, errors=errors),
+        event("shot_rejected", 4, shot=3, attempt=1, reason="pitch off by -2.00°"),
+        event("shot_rejected", 4, shot=3, attempt=1, reason="the same once more"),
+        event("shot_retaken", 5, shot=3, attempt=2, reason="again"),
+        event("shot_accepted", 6, shot=3, attempt=2),
+        event("mission_paused", 7, reason="the sun is gone"),
+    ):
+        one.hear("event", document)
+    text = shown(mission_view("drone", one))
+    for part in ("drone", "online", "capturing", "wind", "9/18", "2 retakes", "1:12 left", "battery 74 %"):
+        assert part in text
+    assert "camera gone" in text
+    rows = [line for line in text.splitlines() if line.split()[:1] == ["3"]]
+    assert len(rows) == 2
+    assert "-29.5° +154.3°" in rows[0]
+    assert "rejected" in rows[0]
+    assert "-2.00° +0.01° ?" in rows[0]
+    assert "pitch off by -2.00°" in rows[0]
+    assert "accepted" in rows[1]
+    assert "mission paused: the sun is gone" in text
+    assert len(one.events) == 7, "an event that comes twice counts once"
+
+
+def test_only_the_last_attempts_are_shown_and_a_new_mission_begins_anew() -> None:
+    one = Watched()
+    for number in range(40):
+        one.hear("event", event("shot_accepted", number, shot=number, attempt=1))
+    text = shown(mission_view("drone", one))
+    assert " 39 " in text
+    assert " 27 " not in text
+    one.hear("event", event("mission_started", 99, shots_total=1))
+    assert " 39 " not in shown(mission_view("drone", one))
+
+
+@pytest.mark.parametrize("state", ["complete", "incomplete", "aborted", "failed"])
+def test_a_mission_ends_once_it_was_seen_to_fly(state: str) -> None:
+    one = Watched()
+    one.hear("state", {"state": state})
+    assert one.ended == "", "that one ended before"
+    one.hear("state", {"state": "capturing"})
+    one.hear("state", {"state": state})
+    assert (one.ended, one.finished) == (state, False)
+    one.hear("event", event("mission_finished", 9, reason="done"))
+    assert one.finished
+
+
+@pytest.mark.parametrize("document", [None, 5, "x", [], {}, {"type": None, "id": 3, "shot": "x", "errors": 3}])
+def test_what_a_stranger_publishes_there_does_no_harm(document: Any) -> None:
+    one = Watched()
+    for kind in ("state", "event", "plan", "status"):
+        one.hear(kind, document)
+    shown(mission_view("drone", one))
+    shown(fleet_view({"drone": one}))
+
+
+def test_a_fleet_is_a_line_each() -> None:
+    sound, silent = Watched(), Watched()
+    sound.hear("status", "online")
+    sound.hear("state", STATE)
+    silent.hear("status", "offline")
+    lines = shown(fleet_view({"b": silent, "a": sound})).splitlines()
+    assert lines[0].split() == ["vehicle", "status", "state", "shots", "retakes", "left", "links", "battery", "reason"]
+    assert lines[1].split() == ["a", "online", "capturing", "9/18", "2", "1:12", "no", "camera", "74", "%", "wind"]
+    assert lines[2].split()[:2] == ["b", "offline"]
