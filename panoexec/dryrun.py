@@ -85,7 +85,7 @@ class DryRunSummary:
         photos: JPEGs in the mission's directory.
         duration_s: simulated seconds from the first slew to the last verdict.
         limit_s: what the hardware allows at best for the same shots in the same order: slews at full rate and
-            acceleration, settle time, exposure, camera interval.
+            acceleration, settle time, the camera's lag from command to shutter, exposure, camera interval.
         trigger_delay_s: 99th percentile from settled to the trigger on the wire, in simulated seconds.
         certificate: of the measured attitudes; None if the mission did not come that far.
         vehicle: what it was flown on, as in the manifest; `landed` where it had to be.
@@ -276,7 +276,9 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
     await stored.journal.close()
     await asyncio.to_thread(write_leavings, stored.directory)
     shots = _shots_flown(record, since_utc_s=began_utc_s)
-    limit_s = sum(limit_steps_s(shots, stored.settings, start=start, exposure_s=simulation.camera.exposure_s))
+    camera = simulation.camera
+    steps_s = limit_steps_s(shots, stored.settings, start=start, exposure_s=camera.exposure_s, lag_s=camera.latency_s)
+    limit_s = sum(steps_s)
     summary = summarise(stored, record, duration_s=duration_s, limit_s=limit_s, certificate=certificate)
     return replace(summary, vehicle=rig.about, turns=turns, report=stored.directory.report)
 

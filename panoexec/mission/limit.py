@@ -11,7 +11,12 @@ from panoexec.planning.model import Shot
 
 
 def limit_steps_s(
-    shots: Sequence[Shot], settings: MissionSettings, *, start: tuple[float, float] | None, exposure_s: float
+    shots: Sequence[Shot],
+    settings: MissionSettings,
+    *,
+    start: tuple[float, float] | None,
+    exposure_s: float,
+    lag_s: float = 0.0,
 ) -> list[float]:
     """The least seconds that each of these shots takes after the one before, one photo each.
 
@@ -20,6 +25,7 @@ def limit_steps_s(
         settings: rates, accelerations, settle time, interval.
         start: pitch and yaw before the first slew; None counts no slew for the first shot.
         exposure_s: of one photo.
+        lag_s: from the camera's command to the opening of its shutter, where that is known.
     """
     limits = settings.gimbal
     if limits.turning is not None:
@@ -36,7 +42,7 @@ def limit_steps_s(
                 to_pitch_deg=shot.pitch_deg,
                 to_yaw_deg=shot.yaw_deg,
             )
-        least_s = slew_s + settings.settle_s + exposure_s
+        least_s = slew_s + settings.settle_s + lag_s + exposure_s
         steps.append(least_s if number == 0 else max(least_s, settings.interval_s))
         at = (shot.pitch_deg, shot.yaw_deg)
     return steps
