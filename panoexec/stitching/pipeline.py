@@ -16,6 +16,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -141,7 +142,8 @@ class Stitcher:
             return self._run()
         except UsageError as error:
             # a file of ours that could not be written: the disk is the matter, not the user
-            raise ToolError(str(error)) from error
+            cause = error.__cause__
+            raise (disk_error(self._work, cause) if isinstance(cause, OSError) else ToolError(str(error))) from error
 
     def _run(self) -> StitchResult:
         self._state = self._read_state()
@@ -180,11 +182,14 @@ class Stitcher:
         self._progress(name, 0.0, "")
         try:
             work()
-        finally:
-            spent += time.monotonic() - started
-            self._state[name] = {"key": key, "seconds": round(spent, 2), "done": False}
-            self._write_state()
-        self._state[name]["done"] = True
+        except BaseException:
+            self._state[name] = {"key": key, "seconds": round(spent + time.monotonic() - started, 2), "done": False}
+            # on a full disk this fails, too; what went wrong first is what counts
+            with suppress(UsageError):
+                self._write_state()
+            raise
+        spent += time.monotonic() - started
+        self._state[name] = {"key": key, "seconds": round(spent, 2), "done": True}
         self._write_state()
         self._progress(name, 1.0, f"{spent:.1f} s")
         return product

@@ -13,6 +13,7 @@ import pytest
 
 from panoexec.angles import FloatArray, angle_between
 from panoexec.cli import app
+from panoexec.errors import UsageError
 from panoexec.exports import export_set, write_exports
 from panoexec.manifest import read_manifest
 from panoexec.optics import Camera
@@ -95,16 +96,10 @@ def test_the_projects_open_in_hugins_tools_without_a_warning(
             assert not [word for word in ("warning", "error", "unable", "fail", "cannot") if word in said], said
 
 
-def test_all_images_are_connected_after_the_search_for_control_points(
-    flown: tuple[Path, FloatArray], stitched: tuple[int, Path], tmp_path: Path
-) -> None:
-    write_exports(export_set(read_manifest(flown[0] / "manifest.json"), flown[0]), flown[0])
-    found = tmp_path / "found.pto"
-    subprocess.run(
-        ["cpfind", "--prealigned", "-o", str(found), str(flown[0] / "panorama.pto")], capture_output=True, check=True
-    )
-    for project in (found, stitched[1] / "matched.pto", stitched[1] / "aligned.pto"):
-        done = subprocess.run(["checkpto", str(project)], capture_output=True, text=True, check=False)
+def test_all_images_are_connected_after_the_search_for_control_points(stitched: tuple[int, Path]) -> None:
+    """`matched.pto` is what `cpfind --prealigned` made of the mission's project."""
+    for name in ("matched.pto", "aligned.pto"):
+        done = subprocess.run(["checkpto", str(stitched[1] / name)], capture_output=True, text=True, check=False)
         assert "All images are connected." in done.stdout, done.stdout
         assert done.returncode == 0
 
@@ -186,6 +181,24 @@ def test_an_interrupted_rendering_goes_on(
     assert picture.size == (1400, 700)
     assert (alpha[370:] == 255).all()
     assert json.loads((copy / "stitch" / "stitch.json").read_text())["completeness"]["hole_px"] == 0
+
+
+def test_a_disk_that_is_full_for_every_file_is_told_as_that(
+    copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not even the state of the steps can be written any more."""
+
+    def full(path: Path, content: object, *, sync: bool = True) -> None:
+        raise UsageError(f"{path}: cannot be written") from OSError(28, "No space left on device")
+
+    monkeypatch.setattr("panoexec.stitching.pipeline.write_atomically", full)
+    assert app.run(["stitch", str(copy), "--width", "1200"]) == 3
+    message = capsys.readouterr().err.splitlines()[-1]
+    assert "No space left on device" in message
+    assert "completed steps are kept" in message
+    monkeypatch.undo()
+    assert app.run(["stitch", str(copy), "--width", "1200"]) == 0
+    assert capsys.readouterr().err.count("done before") == 2
 
 
 def test_missing_and_damaged_photos_are_named_and_their_holes_found(
