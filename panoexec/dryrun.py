@@ -274,7 +274,10 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
             await asyncio.to_thread(write_leavings, stored.directory)
         raise
     await stored.journal.close()
-    await asyncio.to_thread(write_leavings, stored.directory)
+    try:
+        await asyncio.to_thread(write_leavings, stored.directory)
+    except UsageError as error:  # the mission is what it is, and on disk
+        note(f"not everything could be written of the mission: {error}")
     shots = _shots_flown(record, since_utc_s=began_utc_s)
     camera = simulation.camera
     steps_s = limit_steps_s(shots, stored.settings, start=start, exposure_s=camera.exposure_s, lag_s=camera.latency_s)

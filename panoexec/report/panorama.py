@@ -154,7 +154,10 @@ class _Canvas:
         inside = np.flatnonzero((x > 0) & (np.abs(across) < 1) & (np.abs(along) < 1))
         across, along = across.ravel()[inside], along.ravel()[inside]
         height, width = picture.shape[:2]
-        pixels = picture[((along + 1) / 2 * height).astype(np.intp), ((across + 1) / 2 * width).astype(np.intp)]
+        # just inside the border may round to the border
+        row = np.minimum(((along + 1) / 2 * height).astype(np.intp), height - 1)
+        column = np.minimum(((across + 1) / 2 * width).astype(np.intp), width - 1)
+        pixels = picture[row, column]
         weight = ((1 - np.abs(across)) * (1 - np.abs(along)) + np.float32(1e-4)) ** 2
         target = (rows[inside // len(columns)], columns[inside % len(columns)])
         self._sum[target] += pixels * weight[:, None]

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import io
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import PIL.Image
 import pytest
 
+from panoexec.angles import rotation
 from panoexec.mission_dir import MissionDirectory
 from panoexec.report.panorama import _Canvas, best_picture
 from panoexec.report.source import read_source
@@ -54,3 +57,21 @@ def test_looking_in_a_part_of_the_canvas_cuts_nothing_off(
     assert parts is not None
     assert whole is not None
     assert parts.jpeg == whole.jpeg
+
+
+class _FlatCanvas(_Canvas):
+    """Whose photos are all of one colour."""
+
+    photo = np.full((601, 801, 3), 200, dtype=np.uint8)
+
+    def _read(self, path: Path) -> np.ndarray[Any, np.dtype[np.uint8]]:
+        return self.photo
+
+
+def test_a_direction_that_rounds_to_a_photo_s_border_is_in_it() -> None:
+    canvas = _FlatCanvas({"sensor_width_mm": 17.3, "sensor_height_mm": 13.0, "focal_length_mm": 15.0}, 2048)
+    random = np.random.default_rng(1)
+    for yaw_deg, pitch_deg, roll_deg in random.uniform((-180, -90, -0.1), (180, 30, 0.1), (150, 3)):
+        canvas.add(Path("flat"), rotation(yaw_deg, pitch_deg, roll_deg))
+    with PIL.Image.open(io.BytesIO(canvas.jpeg())) as opened:
+        assert np.asarray(opened)[-10:].mean() == pytest.approx(200, abs=2)
