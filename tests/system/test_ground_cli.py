@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import io
 import json
 import signal
 import sys
@@ -41,10 +43,15 @@ async def panoexec(*arguments: object) -> AsyncIterator[asyncio.subprocess.Proce
 
 
 async def outcome(*arguments: object) -> tuple[int, str, str]:
-    async with panoexec(*arguments) as process:
-        out, err = await process.communicate()
-        assert process.returncode is not None
-        return process.returncode, out.decode(), err.decode()
+    """Exit code, standard output and error of a verb; in a thread, as starting a process takes long."""
+    out, err = io.StringIO(), io.StringIO()
+
+    def call() -> int:
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            return run([str(argument) for argument in arguments])
+
+    code = await asyncio.to_thread(call)
+    return code, out.getvalue(), err.getvalue()
 
 
 async def document(process: asyncio.subprocess.Process) -> dict[str, Any]:
