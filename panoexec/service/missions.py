@@ -91,6 +91,7 @@ class Missions:
         self._changed = changed
         self._next: asyncio.Queue[tuple[StoredMission, Devices, Reference]] = asyncio.Queue()
         self._claimed = False
+        self._over = False
         self._idle = asyncio.Event()
         self._idle.set()
         self._begun = asyncio.Event()
@@ -110,6 +111,7 @@ class Missions:
         """Take an event of the mission that flies (`EventSink`)."""
         if event.state is not MissionState.IDLE:
             self._begun.set()
+        self._over = event.state in ENDED
         self._sink.publish(event)
 
     @contextlib.asynccontextmanager
@@ -121,14 +123,14 @@ class Missions:
         Raises:
             RefusedRequestError: a mission flies.
         """
-        if self.mission is not None and self.mission.record.state in ENDED:
+        if self._claimed and self._over:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_ENDING_S):
                     await self._idle.wait()
         if self._claimed:
             name = self.record.mission_id if self.mission is not None and self.record is not None else "a mission"
             raise RefusedRequestError("busy", f"{name} is under way: abort it first, or wait for its end")
-        self._claimed = True
+        self._claimed, self._over = True, False
         self._idle.clear()
         try:
             yield
@@ -215,7 +217,7 @@ class Missions:
         except (PanoexecError, ValueError, OSError) as error:
             _log.error("mission ended by an error", mission_id=stored.directory.mission_id, error=str(error))
         finally:
-            self.mission = None
+            self.mission, self._over = None, True
 
     @staticmethod
     async def _leave(stored: StoredMission) -> None:

@@ -105,6 +105,17 @@ async def ground_station(broker: Broker) -> AsyncIterator[Ground]:
         await asyncio.gather(task, return_exceptions=True)
 
 
+def write_config(folder: Path, broker: Broker, port: int, *, more: str = "", mqtt: str = "") -> Path:
+    """A configuration for a simulated vehicle that sends to that UDP port."""
+    config = folder / "config.toml"
+    config.write_text(
+        f'[vehicle]\nconnection = "udpin://127.0.0.1:{port}"\n'
+        f'[mqtt]\nhost = "127.0.0.1"\nport = {broker.port}\n{mqtt}[storage]\npath = "{folder}/data"\nmin_free_mb = 1\n'
+        f"[guards]\nallowed_modes = []\nbattery_floor_frac = 0\n{more}"
+    )
+    return config
+
+
 @asynccontextmanager
 async def serving(
     folder: Path,
@@ -117,12 +128,7 @@ async def serving(
     speedup: float = SPEEDUP,
 ) -> AsyncIterator[asyncio.subprocess.Process]:
     """The daemon while the block runs; killed at its end if it still runs."""
-    config = folder / "config.toml"
-    config.write_text(
-        f'[vehicle]\nconnection = "udpin://127.0.0.1:{port}"\n'
-        f'[mqtt]\nhost = "127.0.0.1"\nport = {broker.port}\n{mqtt}[storage]\npath = "{folder}/data"\nmin_free_mb = 1\n'
-        f"[guards]\nallowed_modes = []\nbattery_floor_frac = 0\n{more}"
-    )
+    config = write_config(folder, broker, port, more=more, mqtt=mqtt)
     environment = {name: value for name, value in os.environ.items() if name != "NOTIFY_SOCKET"}
     if notify is not None:
         environment["NOTIFY_SOCKET"] = str(notify)

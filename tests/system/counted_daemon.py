@@ -1,0 +1,54 @@
+"""The daemon as `panoexec serve` runs it, which writes down what it holds when it gets SIGUSR1.
+
+Arguments: configuration, speed-up, file to write to.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import json
+import os
+import signal
+import sys
+import threading
+from pathlib import Path
+
+from panoexec.cli.serve import checked_config
+from panoexec.clock import SystemClock
+from panoexec.files import write_atomically
+from panoexec.logs import configure_logs
+from panoexec.sdnotify import SystemdNotifier
+from panoexec.service.daemon import Daemon
+
+
+async def serve(config_file: Path, speedup: float, counts: Path) -> None:
+    """Run until SIGTERM."""
+    config = checked_config(config_file, os.environ)
+    configure_logs("warning", "json")
+    daemon = Daemon(
+        config,
+        clock=SystemClock(speedup),
+        reload=lambda: checked_config(config_file, os.environ),
+        notifier=SystemdNotifier(),
+    )
+
+    def count() -> None:
+        gc.collect()
+        resident = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS"))
+        held = {
+            "resident_mb": int(resident.split()[1]) / 1000,
+            "tasks": len(asyncio.all_tasks()),
+            "threads": threading.active_count(),
+            "native_threads": len(list(Path("/proc/self/task").iterdir())),
+            "files": len(list(Path("/proc/self/fd").iterdir())),
+            "objects": len(gc.get_objects()),
+        }
+        write_atomically(counts, json.dumps(held))
+
+    asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, count)
+    await daemon.run()
+
+
+if __name__ == "__main__":
+    asyncio.run(serve(Path(sys.argv[1]), float(sys.argv[2]), Path(sys.argv[3])))
