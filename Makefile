@@ -5,13 +5,17 @@ BIN     := $(VENV)/bin
 ARGS    ?=
 WORKERS ?= 4
 
-.PHONY: dry-run test check format bench deb install clean help
+.PHONY: dry-run experiment test check format bench deb install clean help
 
 help:            ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
 
 dry-run: $(VENV)/.sim     ## fly a complete panorama on the embedded simulated vehicle (ARGS="--speedup 4 …")
 	$(BIN)/panoexec dry-run --camera dji-x5s-15mm --overlap 0.15 --elevation -90 30 $(ARGS)
+
+experiment: $(VENV)/.sim  ## repeat the paper's simulation case (installs hugin-tools; ARGS="--scenario all --seeds 5")
+	@.ci/setup hugin
+	$(BIN)/panoexec experiment $(if $(ARGS),$(ARGS),--scenario 1)
 
 test: $(VENV)/.dev        ## run the tests (installs mosquitto if it is missing)
 	@.ci/setup tests
