@@ -30,9 +30,16 @@ class Broker:
     """One mosquitto with a configuration of its own; what it says is in `log`."""
 
     def __init__(
-        self, folder: Path, *, listener: str = "", settings: str = "allow_anonymous true", persistent: bool = False
+        self,
+        folder: Path,
+        *,
+        listener: str = "",
+        settings: str = "allow_anonymous true",
+        persistent: bool = False,
+        verbose: bool = True,
     ) -> None:
         self.port = free_tcp_port()
+        self._verbose = ["-v"] if verbose else []
         self.log = folder / "mosquitto.log"
         self._config = folder / "mosquitto.conf"
         user = "user root\n" if os.geteuid() == 0 else ""
@@ -47,7 +54,9 @@ class Broker:
         """Start it and wait until it listens."""
         assert MOSQUITTO is not None
         with self.log.open("ab") as log:
-            self._process = subprocess.Popen([MOSQUITTO, "-c", str(self._config), "-v"], stdout=log, stderr=log)
+            self._process = subprocess.Popen(
+                [MOSQUITTO, "-c", str(self._config), *self._verbose], stdout=log, stderr=log
+            )
         deadline = time.monotonic() + 10
         while time.monotonic() < deadline:
             with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port), timeout=1):
@@ -67,13 +76,30 @@ class Broker:
             self._process.wait(10)
             self._process = None
 
+    def cpu_s(self) -> float:
+        """Seconds of a core that it has used."""
+        assert self._process is not None
+        stat = Path(f"/proc/{self._process.pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+        return (int(stat[11]) + int(stat[12])) / os.sysconf("SC_CLK_TCK")
+
+    def resident_mb(self) -> float:
+        """Memory that it holds."""
+        assert self._process is not None
+        lines = Path(f"/proc/{self._process.pid}/status").read_text(encoding="utf-8").splitlines()
+        return int(next(line for line in lines if line.startswith("VmRSS")).split()[1]) / 1000
+
 
 @contextlib.contextmanager
 def running_broker(
-    folder: Path, *, listener: str = "", settings: str = "allow_anonymous true", persistent: bool = False
+    folder: Path,
+    *,
+    listener: str = "",
+    settings: str = "allow_anonymous true",
+    persistent: bool = False,
+    verbose: bool = True,
 ) -> Iterator[Broker]:
     """A broker while the block runs; a `persistent` one keeps sessions and what is retained when it is stopped."""
-    broker = Broker(folder, listener=listener, settings=settings, persistent=persistent)
+    broker = Broker(folder, listener=listener, settings=settings, persistent=persistent, verbose=verbose)
     broker.start()
     try:
         yield broker

@@ -1,0 +1,67 @@
+"""A whole daemon but for its vehicle, which is a light stand-in: for measuring fleets on a small computer.
+
+Requests, transactions, missions, journal, manifest and the MQTT link are the daemon's own; gimbal, camera and vehicle
+are objects in its process instead of a MAVLink connection and a simulator. Arguments: configuration.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+import time
+from pathlib import Path
+
+from panoexec.cli.serve import checked_config
+from panoexec.clock import SystemClock
+from panoexec.config import Config
+from panoexec.devices import VehicleStatus
+from panoexec.logs import configure_logs
+from panoexec.mission_session import Devices
+from panoexec.mqtt.messages import LinkFields, LinksFields
+from panoexec.sdnotify import SystemdNotifier
+from panoexec.service.daemon import Daemon
+from panoexec.service.vehicle_link import VehicleLink
+from tests.unit.fakes.devices import FakeCamera, FakeGimbal, FakeVehicle
+
+
+class StandIn(VehicleLink):
+    """A vehicle that is there at once and does what it is told."""
+
+    def __init__(self, config: Config, *, clock: SystemClock) -> None:
+        super().__init__(config, clock=clock)
+        self._gimbal_stand_in = FakeGimbal(clock=clock)
+        self.devices = Devices(
+            gimbal=self._gimbal_stand_in, camera=FakeCamera(clock=clock), vehicle=FakeVehicle(clock=clock)
+        )
+        self.reason = ""
+
+    @property
+    def status(self) -> VehicleStatus:
+        assert self.devices is not None
+        return self.devices.vehicle.status
+
+    def links(self) -> LinksFields:
+        there = LinkFields(ok=True, age_s=0.1)
+        return LinksFields(autopilot=there, gimbal=there, camera=there)
+
+    async def run(self) -> None:
+        """Stream attitudes while the gimbal is ours, as a link that is sparing does."""
+        while True:
+            self.pulse_s = time.monotonic()
+            await asyncio.sleep(0.04 if self._gimbal_stand_in.in_control else 0.2)
+            self._gimbal_stand_in.report()
+
+
+async def main(config_file: Path) -> None:
+    """Run until SIGTERM."""
+    config = checked_config(config_file, os.environ)
+    configure_logs("error", "json")
+    clock = SystemClock()
+    daemon = Daemon(config, clock=clock, reload=lambda: config, notifier=SystemdNotifier())
+    daemon.vehicle = StandIn(config, clock=clock)
+    await daemon.run()
+
+
+if __name__ == "__main__":
+    asyncio.run(main(Path(sys.argv[1])))
