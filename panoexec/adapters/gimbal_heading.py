@@ -16,6 +16,8 @@ _SLOW_S: Final = 10.0
 """Differences between the two headings that last longer are the gimbal's drift."""
 _FRESH_S: Final = 1.0
 """An autopilot's heading older than this is none."""
+_SAME_MOMENT_S: Final = 0.03
+"""Headings further apart in time tell nothing of the difference; a nose that turns would be taken for drift."""
 _JUMP_DEG: Final = 20.0
 """A difference that changes by more than jitter and drift can (the gimbal has set its heading anew)."""
 
@@ -49,6 +51,8 @@ class HeadingBlend:
         if heading_deg == 0 or not math.isfinite(heading_deg) or not fresh or math.isnan(self._vehicle_deg):
             self._drift_deg = math.nan
             return math.nan
+        if received_s - self._vehicle_s > _SAME_MOMENT_S and math.isfinite(self._drift_deg):
+            return _wrap(heading_deg - self._drift_deg)
         difference = _wrap(heading_deg - self._vehicle_deg)
         change = _wrap(difference - self._drift_deg) if math.isfinite(self._drift_deg) else math.inf
         if abs(change) > _JUMP_DEG:

@@ -28,7 +28,7 @@ TRIGGER_BOUND_S = 10.0
 AFTER_REFUSAL_S = 0.5
 """How long a camera that refused is left alone, if its interval is not shorter."""
 LAST_SLEEP_S = 0.05
-"""The last part of the settle time and of the camera's interval is slept through; before that, samples are watched."""
+"""The last part of a wait, slept through without a look at samples; those before are judged by then."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,10 +139,17 @@ class Shooter:
         )
         tracker = SettleTracker(target=self._target(shot), limits=limits)
         bound_s = expected_s + self.settings.settle_s + patience_s
-        wait = _Wait(tracker=tracker, commanded_s=commanded_s, bound_s=bound_s, deadline_s=commanded_s + bound_s)
+        wait = _Wait(
+            tracker=tracker,
+            commanded_s=commanded_s,
+            bound_s=bound_s,
+            deadline_s=commanded_s + bound_s,
+            newest_s=commanded_s,
+        )
         done, settled_s = await until(self._overdue(wait), self._follow(wait, clear), f"settle shot {shot.index}")
         if done and settled_s is not None:
             return Settled(commanded_s=commanded_s, settled_s=settled_s)
+        self._read(wait)
         why = tracker.problem
         if tracker.is_stale(self.clock.monotonic()):
             why = "the gimbal's attitude stream is silent"
@@ -260,55 +267,79 @@ class Shooter:
         return max(0.0, self._ready_s - self.clock.monotonic())
 
     async def _follow(self, wait: _Wait, clear: Callable[[], asyncio.Event | None]) -> float:
-        """Feed the tracker until the trigger may go out; returns when the last condition for it came true."""
-        feed, tracker = self.gimbal.feed, wait.tracker
-        newest = free_s = wait.commanded_s
-        fresh = False
+        """Feed the tracker until the trigger may go out; returns when the last condition for it came true.
+
+        Nothing is settled before the settle time is over since the newest sample that was not. Until then samples
+        gather and are judged all at once: to wake up for each would cost more than all the rest of the slew.
+        """
+        tracker, free_s = wait.tracker, wait.commanded_s
         nose = self.turner if self._nose_pans else None
         while True:
             await asyncio.sleep(0)  # a machine that cannot keep up with the samples must still hear everybody else
-            readings = self.poses.since(newest)
-            if not readings and not fresh:
-                await feed.newer_than(newest)
-                readings = self.poses.since(newest)
-            fresh = False
-            for reading in readings:
-                newest = reading.time_s
-                tracker.add(reading)
-                if nose is not None and tracker.error is not None:
-                    nose.note(reading.time_s, float(tracker.error.yaw_deg))
+            self._read(wait, nose)
             now_s = self.clock.monotonic()
             if nose is not None and math.isnan(tracker.inside_since_s) and nose.is_off(now_s):
                 await nose.correct()
-            settling_s = tracker.settled_at_s - now_s
-            if 0 < settling_s < LAST_SLEEP_S:  # the trigger does not wait for one more sample
-                await self.clock.sleep(settling_s)
-                fresh = True
             if not tracker.is_settled(now_s):
+                await self._gather(wait, now_s, every_sample=nose is not None)
                 continue
             blocker, left_s = clear(), self._interval_left_s()
             if blocker is None and left_s <= 0:
                 return max(tracker.settled_at_s, free_s)
-            if blocker is None and left_s < LAST_SLEEP_S:
-                await self.clock.sleep(left_s)
-                fresh = True
-            free_s = self.clock.monotonic()
+            wait.for_its_turn = True
+            if blocker is not None:
+                await blocker.wait()
+                free_s = self.clock.monotonic()
+            else:
+                await self._sleep_most_of(left_s)
+                free_s = self._ready_s
+            wait.for_its_turn = False
             wait.deadline_s = max(wait.deadline_s, free_s + wait.bound_s)
+
+    def _read(self, wait: _Wait, nose: Turner | None = None) -> None:
+        """Feed the tracker with what has come."""
+        for reading in self.poses.since(wait.newest_s):
+            wait.newest_s = reading.time_s
+            wait.tracker.add(reading)
+            if nose is not None and wait.tracker.error is not None:
+                nose.note(reading.time_s, float(wait.tracker.error.yaw_deg))
+
+    async def _gather(self, wait: _Wait, now_s: float, *, every_sample: bool) -> None:
+        """Return when the pose may be settled, or with the next sample, if it could be at any moment."""
+        settled_at_s = wait.tracker.settled_at_s
+        if math.isnan(settled_at_s):
+            settled_at_s = wait.newest_s + self.settings.settle_s
+        left_s = settled_at_s - now_s
+        if left_s > 0 and (not every_sample or left_s < LAST_SLEEP_S):
+            await self._sleep_most_of(left_s)
+        else:
+            await self.gimbal.feed.newer_than(wait.newest_s)
+
+    async def _sleep_most_of(self, left_s: float) -> None:
+        """Return a little earlier, or at the end: what has gathered is judged before the moment that counts."""
+        await self.clock.sleep(left_s - LAST_SLEEP_S if left_s > LAST_SLEEP_S else left_s)
 
     async def _overdue(self, wait: _Wait) -> None:
         """Return when patience is over; a pose that is settled and only waits for its turn has all the time."""
         while True:
             await self.clock.sleep(max(wait.deadline_s - self.clock.monotonic(), 0.05))
             now = self.clock.monotonic()
-            if now >= wait.deadline_s and not wait.tracker.is_settled(now):
+            if now >= wait.deadline_s and not wait.for_its_turn and not wait.tracker.is_settled(now):
                 return
 
 
 @dataclass(kw_only=True)
 class _Wait:
-    """The wait for one pose to settle; what keeps the trigger for other reasons moves its deadline."""
+    """The wait for one pose to settle; what keeps the trigger for other reasons moves its deadline.
+
+    Attributes:
+        newest_s: time of the newest sample that the tracker has.
+        for_its_turn: the pose was settled, and something else keeps the trigger now.
+    """
 
     tracker: SettleTracker
     commanded_s: float
     bound_s: float
     deadline_s: float
+    newest_s: float
+    for_its_turn: bool = False

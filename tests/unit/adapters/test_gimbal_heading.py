@@ -61,3 +61,20 @@ def test_without_a_fresh_heading_of_the_autopilot_there_is_none() -> None:
     assert math.isnan(blend.gimbal(10.0, 2.5))
     blend.vehicle(math.nan, 3.0)
     assert math.isnan(blend.gimbal(10.0, 3.0))
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 10.0, 7.0])
+def test_an_autopilot_that_tells_its_heading_seldom_is_compared_only_at_its_moments(rate_hz: float) -> None:
+    """A nose that turns on and on, 15° a second: a heading 100 ms old would be taken for 1.5° of drift."""
+    blend = HeadingBlend()
+    told_s, worst = -1.0, 0.0
+    for step in range(int(40 * RATE_HZ)):
+        now = step / RATE_HZ
+        heading = wrapped(15.0 * now)
+        if now - told_s >= 1 / rate_hz - 1e-9:
+            told_s = now
+            blend.vehicle(heading, now)
+        out = blend.gimbal(wrapped(heading + 3.0 + 0.01 * now), now)
+        if step > 1000:
+            worst = max(worst, abs(wrapped(out - heading)))
+    assert worst < 0.25
