@@ -20,8 +20,11 @@ from panoexec.planning.duration import turn_times_s
 from panoexec.planning.model import GimbalLimits, Turning
 from panoexec.planning.turns import NO_TURN_DEG, PanReach, heading_for
 
-AVERAGED_S = 0.6
-"""The heading's error is averaged over so long, longer than the airframe's swaying."""
+AVERAGED_S = 1.5
+"""The heading's error is averaged over so long: a correction must not chase the swaying of the nose in gusts, of which
+ArduCopter's SITL has most at a third of a hertz."""
+GAIN = 0.8
+"""Of the averaged error, so much is taken off the next command."""
 RESPONSE_S = 1.2
 """Before that, a corrected command has no steady effect."""
 WORTH_FRAC = 0.5
@@ -130,7 +133,7 @@ class Turner:
     def _learn(self) -> None:
         error = self._steady_error_deg()
         if abs(error) <= HELD_DEG:
-            self.trim_deg = min(max(self.trim_deg - error, -TRIM_MOST_DEG), TRIM_MOST_DEG)
+            self.trim_deg = min(max(self.trim_deg - GAIN * error, -TRIM_MOST_DEG), TRIM_MOST_DEG)
 
     async def _command(self, steady_after_s: float) -> None:
         self._errors.clear()

@@ -135,6 +135,13 @@ async def test_points_in_the_earth_frame(gimbal_autopilot: GimbalPeer, gimbal: M
         assert (command.target_component, command.param7) == (1, 1)
 
 
+async def test_points_along_the_nose(gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal) -> None:
+    await gimbal.point(-33.25, None)
+    command = gimbal_autopilot.sent(1000)[-1]
+    assert (command.param1, command.param2) == (-33.25, 0.0)
+    assert not int(command.param5) & 16  # YAW_LOCK: yaw from the nose without it
+
+
 async def test_does_not_point_nowhere(gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal) -> None:
     with pytest.raises(ValueError, match="cannot point at pitch nan"):
         await gimbal.point(math.nan, 0.0)

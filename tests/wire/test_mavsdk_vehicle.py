@@ -10,13 +10,17 @@ import pytest
 from panoexec import events as ev
 from panoexec.adapters.mavsdk_link import MavsdkLink
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
+from panoexec.clock import SystemClock
 from panoexec.devices import Vehicle
+from panoexec.errors import DeviceError
 from panoexec.mission.pilot import PilotVoice
 from panoexec.mission.record import MissionRecord
 from panoexec.planning.model import Shot
+from panoexec.sim.config import AirframeConfig, SimConfig
 from panoexec.sim.dialect import mavlink
+from panoexec.sim.process import free_udp_port, running_simulator
 from panoexec.states import MissionState
-from tests.wire.scripted_peer import ScriptedPeer, eventually
+from tests.wire.scripted_peer import ACCEPTED, FAILED, ScriptedPeer, eventually
 
 GPS = 0x20
 
@@ -138,3 +142,30 @@ async def test_the_pilot_is_told(autopilot: ScriptedPeer, link: MavsdkLink) -> N
         (5, "Pano: paused: by command"),
         (4, "Pano: aborted at 0/18, gimbal is free"),
     ]
+
+
+async def test_an_ardupilot_is_turned_by_condition_yaw_in_guided(autopilot: ScriptedPeer, link: MavsdkLink) -> None:
+    autopilot.answers[115] = lambda command: FAILED if command.param1 == 90.0 else ACCEPTED
+    async with MavsdkVehicle(link) as vehicle:
+        assert vehicle.turn_modes == ("OFFBOARD",)
+        await vehicle.turn(-30.0, 45.0)
+        command = autopilot.sent(115)[-1]
+        assert (command.param1, command.param2, command.param3, command.param4) == (330.0, 45.0, 0.0, 0.0)
+        with pytest.raises(DeviceError, match=r"turning the vehicle to 90\.0°: failed"):
+            await vehicle.turn(90.0, 45.0)
+
+
+async def test_a_px4_is_turned_by_a_reposition_to_where_it_holds() -> None:
+    """The embedded vehicle with a PX4's habits: it flies nowhere, and looks elsewhere."""
+    port = free_udp_port()
+    config = SimConfig(port=port, autopilot="px4", speedup=5.0, airframe=AirframeConfig(wind_m_s=0.0, heading_deg=20.0))
+    async with running_simulator(config), MavsdkLink(f"udpin://127.0.0.1:{port}", clock=SystemClock(5.0)) as link:
+        await link.wait_autopilot(30)
+        async with MavsdkVehicle(link) as vehicle:
+            assert vehicle.turn_modes == ("HOLD",)
+            await eventually(lambda: vehicle.status.mode == "HOLD" and math.isfinite(vehicle.status.latitude_deg), 30)
+            before = vehicle.status
+            await vehicle.turn(80.0, 45.0)
+            await eventually(lambda: abs(vehicle.status.heading_deg - 80.0) < 3.0, 30)
+            assert vehicle.status.mode == "HOLD"
+            assert vehicle.status.latitude_deg == pytest.approx(before.latitude_deg, abs=2e-5)

@@ -154,6 +154,15 @@ def test_limits_come_in_radians(radians: tuple[float, ...], degrees: tuple[float
     assert told == degrees
 
 
+@pytest.mark.parametrize("pan", [(0.0, 0.0), (None, None)])
+def test_a_gimbal_that_says_that_it_has_no_pan_axis_has_none(pan: tuple[float | None, float | None]) -> None:
+    fields = {"pitch_min": -1.5, "pitch_max": 0.5, "yaw_min": pan[0], "yaw_max": pan[1], "cap_flags": 32 | 4}
+    limits = manager_limits(fields)
+    assert limits is not None
+    assert (limits.yaw_min_deg, limits.yaw_max_deg, limits.pans) == (0.0, 0.0, False)
+    assert manager_limits(fields | {"cap_flags": 32 | 256}) is None, "it has an axis, and does not say how far it goes"
+
+
 @pytest.mark.parametrize("radians", [(0.0, 0.0, 0.0, 0.0), (None, 0.5, -3.0, 3.0), (0.5, -1.5, -3.0, 3.0)])
 def test_limits_that_are_none_are_not_made_up(radians: tuple[float | None, ...]) -> None:
     assert manager_limits(dict(zip(("pitch_min", "pitch_max", "yaw_min", "yaw_max"), radians, strict=True))) is None

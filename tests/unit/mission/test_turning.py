@@ -16,7 +16,7 @@ from panoexec.mission.executor import Mission
 from panoexec.mission.guards import Situation, TurnGuard
 from panoexec.mission.record import Verdict
 from panoexec.mission.settings import GuardSettings, MissionSettings
-from panoexec.mission.turning import Turner
+from panoexec.mission.turning import AVERAGED_S, GAIN, Turner
 from panoexec.planning.model import GimbalLimits, Shot, Turning
 from panoexec.states import MissionState
 from tests.unit.fakes.checks import check_mission
@@ -74,7 +74,9 @@ def test_a_heading_that_stays_beside_its_target_is_corrected_once_and_for_all_th
     world = fly(TWO_AXES, lambda w: setattr(w.vehicle, "offset_deg", lambda _: -0.9))
     assert world.record.state is S.COMPLETE
     assert world.record.attempts == 4
-    assert [heading for _, heading in world.vehicle.turns] == pytest.approx([180.0, 180.9, 270.9, 0.9, 90.9], abs=0.05)
+    assert [heading for _, heading in world.vehicle.turns] == pytest.approx(
+        [180.0, 180.72, 270.72, 0.72, 90.72], abs=0.05
+    )
 
 
 def test_a_nose_that_sways_out_of_tolerance_and_back_is_caught_in_between() -> None:
@@ -222,21 +224,21 @@ def test_a_correction_waits_until_the_nose_stands_and_is_bounded() -> None:
         turner = Turner(vehicle=vehicle, clock=clock, turning=TURNING, tolerance_yaw_deg=TOLERANCE.yaw_deg)
         expected_s = await turner.begin([100.0], TWO_AXES)
         began_s = clock.monotonic()
-        while clock.monotonic() < began_s + expected_s + 0.5:
+        while clock.monotonic() < began_s + expected_s + AVERAGED_S - 0.1:
             turner.note(clock.monotonic(), 4.0)
             assert not turner.is_off(clock.monotonic()), "still turning, or not yet averaged"
             await clock.sleep(0.02)
         while not turner.is_off(clock.monotonic()):
             turner.note(clock.monotonic(), 4.0)
             await clock.sleep(0.02)
-        assert clock.monotonic() < began_s + expected_s + 1.0
+        assert clock.monotonic() < began_s + expected_s + AVERAGED_S + 0.1
         await turner.correct()
-        assert vehicle.turns[-1][1] == pytest.approx(96.0)
+        assert vehicle.turns[-1][1] == pytest.approx(100.0 - GAIN * 4.0)
         turner.note(clock.monotonic(), math.nan)
         assert not turner.is_off(clock.monotonic())
         vehicle.refusals = 1
         await turner.correct()
-        assert turner.trim_deg == pytest.approx(-4.0), "nothing was measured since"
+        assert turner.trim_deg == pytest.approx(-GAIN * 4.0), "nothing was measured since"
         assert turner.turns == 1
 
     run_virtual(main())

@@ -1,0 +1,80 @@
+"""Short missions whose camera is panned by the vehicle, or proven by a count alone: processes, real UDP, real files."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from panoexec.angles import rotation_from_quaternion, wrap_180
+from panoexec.planning.pose_error import pose_error
+
+QUICK = ("--image-width", "160", "--speedup", "10")
+POSES = ((-10.0, 0.0), (-10.0, 40.0), (-45.0, 40.0))
+
+
+def flown(output: Path, *arguments: str) -> tuple[dict[str, Any], dict[str, Any], list[dict[str, Any]]]:
+    """Summary, manifest, and what the simulation knows of each photo; the mission must have been complete."""
+    plan = output / "plan.json"
+    shots = [{"pitch_deg": pitch, "yaw_deg": yaw} for pitch, yaw in POSES]
+    plan.write_text(json.dumps({"format": "panoexec.plan/1", "shots": shots}), encoding="utf-8")
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "panoexec",
+            "dry-run",
+            "--plan",
+            str(plan),
+            *QUICK,
+            *arguments,
+            "--output",
+            str(output),
+            "--json",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=180,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert (summary["state"], summary["shots"], summary["missing"]) == ("complete", len(POSES), [])
+    folder = Path(summary["directory"])
+    truth = [json.loads(line) for line in (folder / "images" / "truth.jsonl").read_text(encoding="utf-8").splitlines()]
+    manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    return summary, manifest, [event for event in truth if event["event"] == "exposure"]
+
+
+def accepted(manifest: dict[str, Any]) -> list[dict[str, Any]]:
+    return [
+        next(a for a in shot["attempts"] if a["number"] == shot["accepted_attempt"]) | {"target": shot["target"]}
+        for shot in manifest["shots"]
+    ]
+
+
+def test_a_two_axis_gimbal_is_panned_by_the_vehicle_and_the_gate_judges_the_sum(tmp_path: Path) -> None:
+    summary, manifest, exposures = flown(tmp_path, "--yaw", "vehicle")
+    assert summary["turns"] == 2, "the last shot is above the second: nothing to turn"
+    for photo in exposures:
+        (true_yaw, _, _), *_ = photo["true_yaw_roll_pitch_deg"]
+        nose = photo["vehicle_heading_deg"] - photo["heading_error_deg"]
+        assert abs(float(wrap_180(true_yaw - nose))) < 0.2, "the camera looks along the nose"
+    for attempt in accepted(manifest):
+        measured = rotation_from_quaternion(np.array(attempt["measured"]["quaternion"]))
+        error = pose_error(attempt["target"]["pitch_deg"], attempt["target"]["yaw_deg"], measured)
+        assert abs(float(error.pitch_deg)) <= 0.1
+        assert abs(float(error.yaw_deg)) <= 2.0
+
+
+def test_a_servo_camera_is_proven_by_its_count(tmp_path: Path) -> None:
+    """CAMERA_FEEDBACK is all that there is: no camera of its own, no message of a photo."""
+    summary, manifest, exposures = flown(tmp_path, "--trigger", "servo")
+    assert summary["evidence"] == {"counted": summary["shots"]}
+    assert len(exposures) == summary["attempts"]
+    indices = [photo["image_index"] for attempt in accepted(manifest) for photo in attempt["photos"]]
+    assert len(set(indices)) == summary["shots"]
