@@ -147,7 +147,7 @@ class SqliteJournal:
 
 
 def read_journal(path: Path) -> tuple[dict[str, str], list[Event]]:
-    """What a journal that nobody writes holds: its head and its events; the file and its folder stay as they are.
+    """What a journal that nobody writes holds: its head and its events; nothing is written to it.
 
     Raises:
         JournalFileError: there is none, it is damaged, of a newer version, not ours, or in use.

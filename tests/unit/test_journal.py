@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from panoexec import events as ev
-from panoexec.journal import APPLICATION_ID, JournalFileError, JournalWriteError, SqliteJournal
+from panoexec.journal import APPLICATION_ID, JournalFileError, JournalWriteError, SqliteJournal, read_journal
 from panoexec.states import MissionState
 
 HEAD = {"mission_id": "m1", "plan": '{"format": "panoexec.plan/1"}'}
@@ -209,3 +209,34 @@ async def test_a_closed_journal_says_so(tmp_path: Path) -> None:
     await journal.close()
     with pytest.raises(JournalWriteError, match="is closed"):
         await journal.append(_events(1, 1))
+
+
+def test_a_journal_is_read_without_touching_its_folder(tmp_path: Path) -> None:
+    path = tmp_path / "journal.sqlite"
+    events = _events(1, 3)
+
+    async def write() -> None:
+        async with await SqliteJournal.create(path, HEAD) as journal:
+            await journal.append(events)
+            with pytest.raises(JournalFileError, match="in use"):
+                read_journal(path)
+            # as a killed process leaves it: what was appended is not folded in yet
+            for name in ("journal.sqlite", "journal.sqlite-wal"):
+                (tmp_path / "killed").mkdir(exist_ok=True)
+                (tmp_path / "killed" / name).write_bytes((tmp_path / name).read_bytes())
+
+    asyncio.run(write())
+    assert (tmp_path / "killed" / "journal.sqlite-wal").stat().st_size > 0
+    for folder in (tmp_path, tmp_path / "killed"):
+        head, found = read_journal(folder / "journal.sqlite")
+        assert head == HEAD
+        assert found == events
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["journal.sqlite", "killed"]
+
+
+def test_what_is_no_journal_is_not_read(tmp_path: Path) -> None:
+    with pytest.raises(JournalFileError, match="there is no journal"):
+        read_journal(tmp_path / "journal.sqlite")
+    (tmp_path / "journal.sqlite").write_bytes(b"no database at all" * 20)
+    with pytest.raises(JournalFileError, match="not an SQLite file"):
+        read_journal(tmp_path / "journal.sqlite")

@@ -39,7 +39,7 @@ function facts(rows) {
 
 const isNumber = (value) => typeof value === "number" && Number.isFinite(value);
 const minus = (text) => text.replace("-", "\u2212");
-const degrees = (value, digits = 2) => (isNumber(value) ? minus(value.toFixed(digits)) + "°" : "–");
+const degrees = (value, digits = 2) => (isNumber(value) ? minus((Math.round(value * 10 ** digits) / 10 ** digits + 0).toFixed(digits)) + "°" : "–");
 const signed = (value, digits = 3) => (isNumber(value) ? (value < 0 ? "\u2212" : "+") + Math.abs(value).toFixed(digits) + "°" : "–");
 /* Never 100 % by rounding. */
 function percent(fraction, digits = 1) {

@@ -92,7 +92,11 @@ class SphereMap {
     this.ratio = ratio;
     this.ask();
   }
-  show(view) { this.view = view; this.resize(this.width); }
+  show(view) {
+    this.view = view;
+    this.canvas.closest(".globe").classList.toggle("flat", view === "map");
+    this.resize(this.canvas.parentElement.clientWidth);
+  }
   ask() {
     if (this.waiting) return;
     this.waiting = true;
