@@ -8,6 +8,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 
+from panoexec.adapters.link_watch import DEFAULT_STREAMS, Stream
 from panoexec.adapters.mavsdk_camera import MavsdkCamera
 from panoexec.adapters.mavsdk_gimbal import MavsdkGimbal
 from panoexec.adapters.mavsdk_link import MavsdkLink
@@ -17,6 +18,7 @@ from panoexec.clock import Clock, VehicleClock
 from panoexec.errors import DeviceError
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission_session import Devices
+from panoexec.sitl.follower import TIME_STREAM, Follower
 from panoexec.sitl.rigs import Rig, VehicleUnderTest
 from panoexec.sitl.timekeeper import Timekeeper
 
@@ -40,12 +42,14 @@ async def devices_on(
     """
     async with AsyncExitStack() as stack:
         rig = await stack.enter_async_context(vehicle_under_test.running(images=images, note=note))
-        link = await stack.enter_async_context(MavsdkLink(rig.connection, clock=clock))
-        keeper = None
-        if rig.allow is not None:
-            assert isinstance(clock, VehicleClock)
+        link = await stack.enter_async_context(MavsdkLink(rig.connection, clock=clock, streams=_streams(rig, clock)))
+        keeper = follower = None
+        if isinstance(clock, VehicleClock) and rig.allow is not None:
             keeper = Timekeeper(clock, rig.allow, speedup=vehicle_under_test.speedup)
             stack.enter_context(keeper.keeping(link))
+        elif isinstance(clock, VehicleClock):
+            follower = Follower(clock)
+            stack.enter_context(follower.following(link))
         gimbal = await stack.enter_async_context(MavsdkGimbal(link))
         camera = await stack.enter_async_context(MavsdkCamera(link))
         vehicle = await stack.enter_async_context(MavsdkVehicle(link))
@@ -61,6 +65,8 @@ async def devices_on(
             yield devices, rig
             return
         pilot = MavsdkPilot(link, vehicle, clock=clock)
+        if follower is not None and rig.may_slow:
+            follower.govern(vehicle_under_test.speedup, pilot.set_speed)
         note("waiting for GPS and estimator, then taking off")
         await pilot.take_off(HOVER_M)
         note(f"hovering at {HOVER_M:g} m")
@@ -74,6 +80,12 @@ async def devices_on(
         else:
             rig.about["landed"] = True
             note("landed and disarmed")
+
+
+def _streams(rig: Rig, clock: Clock) -> tuple[Stream, ...]:
+    """What to ask the autopilot for: its time too, where that is the clock's."""
+    follows = isinstance(clock, VehicleClock) and rig.allow is None
+    return (*DEFAULT_STREAMS, TIME_STREAM) if follows else DEFAULT_STREAMS
 
 
 async def _autopilot_version(link: MavsdkLink) -> str:

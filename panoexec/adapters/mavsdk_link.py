@@ -12,8 +12,7 @@ import json
 import math
 import textwrap
 import time
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Final, Self, TypeVar
 
@@ -350,14 +349,28 @@ class MavsdkLink:
         if self.connected:
             await self.streams.ask()
 
+    async def send(self, what: str, name: str, fields: Mapping[str, object]) -> None:
+        """Send a message that nobody acknowledges.
+
+        Args:
+            what: in words, for messages.
+            name: MAVLink's name of it.
+            fields: by MAVLink's names.
+
+        Raises:
+            DeviceError: not sent.
+            LinkError: as `vendor_call`.
+        """
+        message = MavlinkMessage(name, fields_json=json.dumps(fields, allow_nan=False))
+        direct = self.plugin(MavlinkDirect)
+        await self.vendor_call(what, lambda: direct.send_message(message))
+
     async def say(self, text: str, severity: Severity = Severity.NOTICE) -> None:
         """Tell the pilot's ground station (STATUSTEXT, 253), in lines of 50 characters; never raises."""
         for line in textwrap.wrap(text.encode("ascii", "replace").decode(), 50):
             fields = {"severity": int(severity), "text": line, "id": 0, "chunk_seq": 0}
-            message = MavlinkMessage("STATUSTEXT", fields_json=json.dumps(fields))
             try:
-                send = self.plugin(MavlinkDirect).send_message
-                await self.vendor_call("telling the pilot", partial(send, message))
+                await self.send("telling the pilot", "STATUSTEXT", fields)
             except DeviceError as error:
                 _log.info("the pilot was not told", text=text, error=str(error))
                 return

@@ -26,6 +26,7 @@ from panoexec.errors import DeviceError
 DO_SET_MODE: Final = 176
 NAV_TAKEOFF: Final = 22
 _CUSTOM_MODE: Final = 1
+_REAL32: Final = 9
 _COPTER_GUIDED: Final = 4
 _STEP_S: Final = 0.5
 _HEIGHT_FRAC: Final = 0.97
@@ -106,6 +107,24 @@ class MavsdkPilot:
         action = self._link.plugin(Action)
         await self._link.vendor_call("landing", action.land)
         await self._wait(lambda: not self._vehicle.status.armed, timeout_s, "landing")
+
+    async def set_speed(self, speed: float) -> None:
+        """Ask ArduPilot's SITL for another speed (PARAM_SET of SIM_SPEEDUP); nothing is known of whether it obeys.
+
+        Args:
+            speed: simulated seconds a second.
+
+        Raises:
+            DeviceError: not sent.
+        """
+        fields = {
+            "target_system": self._link.vehicle_system_id or 1,
+            "target_component": AUTOPILOT,
+            "param_id": "SIM_SPEEDUP",
+            "param_value": speed,
+            "param_type": _REAL32,
+        }
+        await self._link.send("changing the speed", "PARAM_SET", fields)
 
     async def _must(self, command: int, params: list[float], what: str) -> None:
         result = await self._link.command(command, params)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from typing import Final
+from typing import Final, Self
 
 TIME_MESSAGE: Final = "NAMED_VALUE_INT"
 TIME_NAME: Final = "sim_clock"
@@ -50,6 +50,18 @@ class Leash:
         self.changed = asyncio.Event()
         self._rest = b""
 
+    @classmethod
+    def long(cls, speed: float) -> Self:
+        """One that holds nobody."""
+        leash = cls()
+        leash.let(math.inf, speed)
+        return leash
+
+    def let(self, until_s: float, speed: float) -> None:
+        """Allow to go on."""
+        self.until_s, self.speed = until_s, speed
+        self.changed.set()
+
     def feed(self, data: bytes) -> None:
         """Take bytes of standard input; a line that means nothing is ignored."""
         *lines, self._rest = (self._rest + data).split(b"\n")
@@ -59,5 +71,4 @@ class Leash:
             except ValueError:
                 continue
             if math.isfinite(until_s) and 0 < speed < math.inf:
-                self.until_s, self.speed = until_s, speed
-                self.changed.set()
+                self.let(until_s, speed)

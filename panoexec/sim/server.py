@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import os
 import signal
 import sys
@@ -14,18 +15,21 @@ from typing import Any
 from panoexec.errors import LinkError, UsageError
 from panoexec.sim.config import DEFAULT_PORTS, SimConfig
 from panoexec.sim.darkroom import Darkroom
-from panoexec.sim.dialect import mavlink
 from panoexec.sim.faults import AUTOPILOT_FAULTS
-from panoexec.sim.pacing import TIME_COMPONENT, TIME_NAME, Leash, time_fields
+from panoexec.sim.following import AHEAD_S, SILENT_S, AutopilotTime
+from panoexec.sim.outlet import Outlet
+from panoexec.sim.pacing import Leash
 from panoexec.sim.simulation import Simulation
-from panoexec.sim.wire import Message, Sender, TcpLink, UdpLink, attach
-from panoexec.sim.world import SimClock, Timeline, TruthLog
+from panoexec.sim.wire import Message, TcpLink, UdpLink, attach
+from panoexec.sim.world import SimClock, TruthLog
 
 _IDLE_S = 0.001
 _DRAIN_S = 60.0
 _BEHIND_S = 0.5
 """Wall time by which the simulation may be late before it says so."""
 _RECONNECT_S = 15.0
+_CATCH_UP_S = 0.5
+"""Wall time for coming to the autopilot's time at once; the rest follows with its next message."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,37 +86,6 @@ class Summary:
     interrupted: bool
 
 
-class _Outlet:
-    """The link to the world, which may be replaced while the simulation runs.
-
-    Attributes:
-        link: the one of the moment.
-        timeline: whose time is told before the messages of each moment; None tells none.
-    """
-
-    name = "world"
-
-    def __init__(self, link: UdpLink | TcpLink, system_id: int) -> None:
-        self.link = link
-        self.timeline: Timeline | None = None
-        self._sender = Sender(system_id, TIME_COMPONENT)
-        self._told_s = -1.0
-
-    def send(self, frame: bytes, message: Message) -> None:
-        """See `panoexec.sim.wire.Link.send`."""
-        self.tell_time()
-        self.link.send(frame, message)
-
-    def tell_time(self) -> None:
-        """Say what time it is, once a moment, if it shall be told."""
-        if self.timeline is None or self.timeline.now_s == self._told_s:
-            return
-        self._told_s = self.timeline.now_s
-        boot_ms, value = time_fields(self._told_s)
-        message = mavlink.MAVLink_named_value_int_message(boot_ms, TIME_NAME.encode(), value)
-        self.link.send(self._sender.pack(message), message)
-
-
 class Server:
     """One run of the simulation."""
 
@@ -139,6 +112,9 @@ class Server:
         self._note = note
         self._tied = tied
         self._leash = Leash() if tied and leashed else None
+        self._autopilot = AutopilotTime() if config.attach_url is not None else None
+        if self._autopilot is not None:
+            self._leash = Leash.long(config.speedup)
         self._stop = asyncio.Event()
         self._interrupted = False
         self._latest_s = 0.0
@@ -156,7 +132,7 @@ class Server:
         with self._signals():
             truth = _open_truth(config)
             try:
-                outlet = _Outlet(await _open_link(config), config.system_id)
+                outlet = Outlet(await _open_link(config), config.system_id)
             except BaseException:
                 truth.close()
                 raise
@@ -174,7 +150,7 @@ class Server:
                 outlet.link.close()
                 truth.close()
 
-    async def _serve(self, simulation: Simulation, outlet: _Outlet, darkroom: Darkroom | None) -> Summary:
+    async def _serve(self, simulation: Simulation, outlet: Outlet, darkroom: Darkroom | None) -> Summary:
         self._adopt(outlet.link, simulation)
         simulation.start()
         self._on_ready(Ready(config=self._config))
@@ -214,7 +190,7 @@ class Server:
         if darkroom.pending:
             self._note(f"{darkroom.pending} photos were not written")
 
-    async def _turn(self, simulation: Simulation, outlet: _Outlet) -> None:
+    async def _turn(self, simulation: Simulation, outlet: Outlet) -> None:
         """Let simulated time pass."""
         clock, warned = simulation.clock, False
         while True:
@@ -232,23 +208,29 @@ class Server:
                     )
             await asyncio.sleep(max(-late, _IDLE_S) if late < 0 else 0)
 
-    async def _turn_on_leash(self, simulation: Simulation, outlet: _Outlet) -> None:
+    async def _turn_on_leash(self, simulation: Simulation, outlet: Outlet) -> None:
         """Let simulated time pass as far as the parent allows, and no faster."""
         leash, clock, timeline = self._leash, simulation.clock, simulation.timeline
         assert leash is not None
-        outlet.timeline = timeline
+        if self._autopilot is None:
+            outlet.timeline = timeline
         while True:
             simulation.advance(min(clock.now(), leash.until_s))
             outlet.tell_time()
             outlet.link.flush()
             held = timeline.now_s >= leash.until_s
-            wait_s = None if held else max(0.0, clock.wall_delay(min(simulation.next_s, leash.until_s)))
+            wait_s: float | None = max(0.0, clock.wall_delay(min(simulation.next_s, leash.until_s)))
+            if held:
+                wait_s = None if self._autopilot is None else SILENT_S
             if wait_s == 0:
                 await asyncio.sleep(0)
             else:
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(wait_s):
                         await leash.changed.wait()
+            if held and self._autopilot is not None and not leash.changed.is_set():
+                self._autopilot.forget()
+                leash.let(math.inf, self._config.speedup)
             if leash.changed.is_set():
                 leash.changed.clear()
                 if held or clock.speedup != leash.speed:
@@ -257,7 +239,9 @@ class Server:
     def _adopt(self, link: UdpLink | TcpLink, simulation: Simulation) -> None:
         def receive(message: Message, frame: bytes) -> None:
             # what arrives now happens now, not when the simulation looked at its clock last
-            if self._leash is None:
+            if self._autopilot is not None and message.get_type() == "AUTOPILOT_STATE_FOR_GIMBAL_DEVICE":
+                self._follow(simulation, message.time_boot_us)
+            elif self._leash is None:
                 simulation.advance(simulation.clock.now())
             simulation.receiver(message, frame)
             link.flush()
@@ -266,7 +250,17 @@ class Server:
         if isinstance(link, TcpLink):
             link.on_closed = self._link_lost.set
 
-    async def _keep_link(self, simulation: Simulation, outlet: _Outlet) -> None:
+    def _follow(self, simulation: Simulation, boot_us: int) -> None:
+        """Come to the time that the autopilot tells, and go on from there."""
+        assert self._autopilot is not None
+        assert self._leash is not None
+        told_s = self._autopilot.at(boot_us, simulation.timeline.now_s)
+        if told_s > simulation.timeline.now_s:
+            simulation.advance(told_s, budget_s=_CATCH_UP_S)
+            simulation.clock.go_on(told_s, self._config.speedup)
+        self._leash.let(told_s + AHEAD_S, self._config.speedup)
+
+    async def _keep_link(self, simulation: Simulation, outlet: Outlet) -> None:
         """Join an autopilot again that closed the connection (it restarts); only TCP tells.
 
         Raises:

@@ -38,6 +38,7 @@ class Rig:
         must_fly: it stands on the ground and is ours to arm, take off and land.
         may_stand: it is not ours; a mission may be flown on it while it stands on a bench.
         allow: lets its time go on, for `Timekeeper`; None: it goes on by itself.
+        may_slow: it can be asked for another speed (`SIM_SPEEDUP`).
         about: for the manifest.
     """
 
@@ -45,6 +46,7 @@ class Rig:
     must_fly: bool = False
     may_stand: bool = False
     allow: Allow | None = None
+    may_slow: bool = False
     about: dict[str, Any]
 
 
@@ -127,7 +129,7 @@ class SitlVehicle:
 
     def clock(self) -> Clock:
         """See `VehicleUnderTest.clock`."""
-        return SystemClock(self.speedup)
+        return VehicleClock()
 
     @contextlib.asynccontextmanager
     async def running(self, *, images: Path | None, note: Note) -> AsyncIterator[Rig]:
@@ -149,7 +151,7 @@ class SitlVehicle:
             running_sitl(options) as sitl,
             _watching(_watch(simulator), sitl.watch()),
         ):
-            yield Rig(connection=f"udpin://{HOST}:{ground_port}", must_fly=True, about=about)
+            yield Rig(connection=f"udpin://{HOST}:{ground_port}", must_fly=True, may_slow=True, about=about)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -183,7 +185,8 @@ class ConnectedVehicle:
 
     def clock(self) -> Clock:
         """See `VehicleUnderTest.clock`."""
-        return SystemClock(self.speedup)
+        # a vehicle on a bench has real time, and may have nobody who tells it
+        return SystemClock() if self.speedup == 1 else VehicleClock()
 
     @contextlib.asynccontextmanager
     async def running(self, *, images: Path | None, note: Note) -> AsyncIterator[Rig]:

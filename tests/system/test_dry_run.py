@@ -94,11 +94,14 @@ def test_a_mission_ends_complete_with_photos_and_manifest(tmp_path: Path) -> Non
         assert (folder / name).stat().st_size > 0, name
 
 
-def test_drift_is_rejected_with_a_reason_and_retaken(tmp_path: Path) -> None:
-    arguments = ("--fault", "drift=#1,#3", "--speedup", "20", "--output", str(tmp_path), "--json")
+def test_drift_is_rejected_with_a_reason_and_retaken_on_px4_too(tmp_path: Path) -> None:
+    vehicle = ("--autopilot", "px4", "--fault", "drift=#1,#3", "--speedup", "20")
+    arguments = (*vehicle, "--output", str(tmp_path), "--json")
     done = panoexec("dry-run", *SMALL, *TOLERANCE, *arguments)
     assert done.returncode == 0, done.stderr
-    manifest = manifest_of(json.loads(done.stdout))
+    summary = json.loads(done.stdout)
+    assert summary["vehicle"]["autopilot"] == "px4"
+    manifest = manifest_of(summary)
     attempts = [attempt for shot in manifest["shots"] for attempt in shot["attempts"]]
     rejected = [attempt for attempt in attempts if attempt["verdict"] == "rejected"]
     assert [attempt for attempt in rejected if attempt["code"] == "pointing" and "off by" in attempt["reason"]]
