@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TypeVar
 
@@ -27,6 +28,8 @@ TRIGGER_BOUND_S = 10.0
 """An adapter answers or gives up long before this."""
 AFTER_REFUSAL_S = 0.5
 """How long a camera that refused is left alone, if its interval is not shorter."""
+LATE_S = 0.5
+"""How long samples of an exposure may be on their way before they count as never sent."""
 LAST_SLEEP_S = 0.05
 """The last part of a wait, slept through without a look at samples; those before are judged by then."""
 
@@ -182,7 +185,7 @@ class Shooter:
             return NotSettled(code="trigger", reason=failure)
         return Exposure(
             captures=tuple(captures),
-            verdict=self._judge(shot, captures[0].commanded_s, end_s),
+            verdict=await self._judged(shot, captures[0].commanded_s, end_s),
             trigger_utc_s=tuple(stamps),
             trigger_delay_s=captures[0].commanded_s - settled.settled_s,
             failure=failure,
@@ -209,6 +212,15 @@ class Shooter:
 
     def _target(self, shot: Shot) -> Target:
         return Target(pitch_deg=shot.pitch_deg, yaw_deg=shot.yaw_deg, tolerance=self.settings.tolerance)
+
+    async def _judged(self, shot: Shot, start_s: float, end_s: float) -> WindowVerdict:
+        """The verdict on an exposure; what proves it may still be on its way on a busy computer."""
+        verdict = self._judge(shot, start_s, end_s)
+        if verdict.code != "no_samples":
+            return verdict
+        with suppress(TimeoutError):
+            await within(self.clock, LATE_S, self.gimbal.feed.newer_than(end_s), f"samples of shot {shot.index}")
+        return self._judge(shot, start_s, end_s)
 
     def _judge(self, shot: Shot, start_s: float, end_s: float) -> WindowVerdict:
         if self.open_loop:

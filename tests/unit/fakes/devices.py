@@ -118,6 +118,8 @@ class FakeGimbal:
     drift: Callable[[float], Angles] | None = None
     silent: bool = False
     mute: Callable[[float], bool] | None = None
+    held_up: Callable[[float], bool] = lambda _: False
+    """Whether samples do not arrive at a time, but later, all at once."""
     frozen: bool = False
     nan: bool = False
     stuck: bool = False
@@ -132,6 +134,7 @@ class FakeGimbal:
     nose: Callable[[float], float] | None = None
     """Heading of the vehicle at a time: the camera looks there when told no yaw, and its pan range is about it."""
     _follows: bool = False
+    _under_way: deque[AttitudeSample] = field(default_factory=deque)
     acquired: int = 0
     released: int = 0
 
@@ -191,7 +194,7 @@ class FakeGimbal:
         step = 1e-3
         speed = math.dist(self._angles(now), self._angles(now - step)) / step
         self.feed.vehicle.append(VehicleAttitude(now, now, self._airframe_q))
-        self.feed.push(
+        self._under_way.append(
             AttitudeSample(
                 received_s=now,
                 vehicle_s=now,
@@ -201,6 +204,9 @@ class FakeGimbal:
                 failure_flags=self.failure_flags,
             )
         )
+        if not self.held_up(now):
+            while self._under_way:
+                self.feed.push(self._under_way.popleft())
 
     async def acquire(self) -> None:
         await self.clock.sleep(0.05)

@@ -51,6 +51,28 @@ def test_the_trigger_follows_the_end_of_the_settle_time_at_once() -> None:
     assert all(0 <= event.trigger_delay_s + 1e-9 <= 0.025 for event in world.sink.of(ev.ShotExposed))
 
 
+def a_burst_after(late_s: float) -> World:
+    """Samples of each exposure arrive that long after its trigger, as on a computer that was busy."""
+
+    def prepare(world: World) -> None:
+        photos = world.camera.photos
+        world.gimbal.held_up = lambda at_s: bool(photos) and 0 < at_s - photos[-1].triggered_s < late_s
+
+    return fly(prepare=prepare)
+
+
+def test_samples_that_arrive_late_prove_an_exposure_all_the_same() -> None:
+    world = a_burst_after(0.45)
+    assert world.record.state is S.COMPLETE
+    assert world.record.attempts == 4
+
+
+def test_samples_that_do_not_arrive_prove_nothing() -> None:
+    world = a_burst_after(0.95)
+    codes = {event.code for event in world.sink.of(ev.ShotRejected)}
+    assert codes == {"no_samples"}
+
+
 def test_no_trigger_before_the_attempt_is_on_disk() -> None:
     def slow_disk(world: World) -> None:
         world.journal.delay_s = 6.0
