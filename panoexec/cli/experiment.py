@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="uniform",
         help="uniform within ± the paper's figures, as tolerances are meant, or normal with these deviations (uniform)",
     )
-    parser.add_argument("--width", type=_width, metavar="PX", help="width of the photos (640, 420, 520 by scenario)")
+    parser.add_argument("--width", type=_width, metavar="PX", help="width of the photos (640, 320, 520 by scenario)")
     parser.add_argument("--scene", type=Path, metavar="EQUIRECT", help="a picture instead of the generated landscape")
     parser.add_argument("--output", type=Path, default=Path("experiment"), metavar="DIR", help="results (experiment)")
     parser.add_argument("--keep", action="store_true", help="keep photos and panoramas, not only previews")

@@ -118,14 +118,14 @@ function proof() {
     card("certificate", "Certificate", "The panorama as flown was not certified: the mission did not come that far.");
     return;
   }
-  const check = (ok, text, more) => el("div", { class: "check" }, el("b", { class: ok === null ? "" : ok ? "good-text" : "bad-text" }, ok === null ? "·" : ok ? "✓" : "✗"), el("span", {}, text, more ? el("small", {}, more) : null));
-  const overlap = (value, asked) => (value === null || value === undefined ? null : asked === undefined ? true : value >= asked || certificate.certified);
+  const check = (ok, text, more) => el("div", { class: "check" }, el("b", { class: ok ? "good-text" : "bad-text" }, ok ? "✓" : "✗"), el("span", {}, text, more ? el("small", {}, more) : null));
+  const overlap = (value, asked) => asked === undefined || value >= asked || certificate.certified;
   const [h, v] = data.band.overlap || [undefined, undefined];
   card("certificate", "Certificate of the panorama as flown", "Computed from the measured attitudes, exactly, not by sampling.",
     el("p", {}, pill(certificate.certified ? "certified" : "not certified", certificate.certified ? "good" : "bad"), ` ${plural(certificate.images, "image")}`),
     check(certificate.uncovered_fraction === 0, certificate.uncovered_fraction === 0 ? "Every direction asked for is in a photo" : `${percent(1 - certificate.uncovered_fraction, 3)} of the band is covered`, certificate.holes.length ? `${plural(certificate.holes.length, "hole")}, the largest ${degrees(certificate.holes[0].size_deg)} across` : null),
-    check(overlap(certificate.min_overlap_h, h), `Neighbours in a row overlap by ${percent(certificate.min_overlap_h)} at least`, h === undefined ? null : `asked for: ${percent(h)}`),
-    check(overlap(certificate.min_overlap_v, v), `Rows overlap by ${percent(certificate.min_overlap_v)} at least`, v === undefined ? null : `asked for: ${percent(v)}`),
+    isNumber(certificate.min_overlap_h) && check(overlap(certificate.min_overlap_h, h), `Neighbours in a row overlap by ${percent(certificate.min_overlap_h)} at least`, h === undefined ? null : `asked for: ${percent(h)}`),
+    isNumber(certificate.min_overlap_v) && check(overlap(certificate.min_overlap_v, v), `Rows overlap by ${percent(certificate.min_overlap_v)} at least`, v === undefined ? null : `asked for: ${percent(v)}`),
     check(certificate.connected, certificate.connected ? "All images hang together" : "The images fall apart into groups"),
     check(certificate.two_edge_connected, certificate.two_edge_connected ? "and still do when any one tie fails" : `${plural(certificate.bridges.length, "tie")} would disconnect the panorama`),
     certificate.failures.length ? el("ul", { class: "texts" }, certificate.failures.map((text) => el("li", {}, text))) : null);
