@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from panoexec.mission.settings import GuardSettings, MissionSettings
 from panoexec.planning.model import Band, Constraints, Plan, Shot, Tolerance
 from panoexec.sim.config import AirframeConfig, CameraConfig, SimConfig
 from panoexec.sim.faults import parse_fault
+from panoexec.states import MissionState
 
 TOLERANCE = Tolerance(pitch_deg=0.25, roll_deg=0.25, yaw_deg=1.0)
 SPEEDUP = 20.0
@@ -121,3 +123,20 @@ def test_every_fault_of_the_simulator_is_flown() -> None:
     from panoexec.sim.faults import FAULTS  # noqa: PLC0415
 
     assert {fault.partition("=")[0] for fault in ALL_FAULTS} == set(FAULTS)
+
+
+def test_the_documentation_has_each_fault_with_its_reaction_and_its_state() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "mission.md").read_text(encoding="utf-8")
+    section = text[text.index("## Faults") : text.index("## What the pilot hears")]
+    ends: dict[str, set[str]] = {}
+    for line in section.splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split(" | ")]
+        if len(cells) != 5 or cells[1] in {"simulated by", "–"}:
+            continue
+        by_itself = cells[4].startswith(("by itself", "–"))
+        for name in re.findall(r"`([a-z-]+)`", cells[1]):
+            ends.setdefault(name, set()).add("complete" if by_itself else "failed")
+            assert cells[3] in set(MissionState), line
+    assert set(ends) == {fault.partition("=")[0] for fault in ALL_FAULTS}
+    for fault, end in ALL_FAULTS.items():
+        assert end in ends[fault.partition("=")[0]], fault
