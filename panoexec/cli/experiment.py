@@ -13,6 +13,7 @@ Exit code 1: a certified plan was not stitched completely.
 Examples:
   panoexec experiment --scenario 1                          25, 28 and 21 images; minutes
   panoexec experiment --scenario all --plans certified --seeds 5
+  panoexec experiment --geometry --seeds 100                exact holes of 100 flights each, without Hugin
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from panoexec.cli.output import console, note, percent, print_json, print_table
 from panoexec.errors import DependencyError
 
 if TYPE_CHECKING:
+    from panoexec.experiment.capture import Spread
     from panoexec.experiment.cases import Case
     from panoexec.experiment.running import Outcome, Setting
 
@@ -47,6 +49,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("uniform", "normal"),
         default="uniform",
         help="uniform within ± the paper's figures, as tolerances are meant, or normal with these deviations (uniform)",
+    )
+    parser.add_argument(
+        "--geometry", action="store_true", help="do not stitch: exact holes in the ground where the photos were taken"
     )
     parser.add_argument("--width", type=_width, metavar="PX", help="width of the photos (640, 320, 520 by scenario)")
     parser.add_argument("--scene", type=Path, metavar="EQUIRECT", help="a picture instead of the generated landscape")
@@ -69,6 +74,8 @@ def run(args: argparse.Namespace) -> int:
         ) from error
     scenarios = (1, 2, 3) if args.scenario == "all" else (int(args.scenario),)
     wanted = cases(scenarios, tuple(dict.fromkeys(args.plans)), args.seeds, args.repeats)
+    if args.geometry:
+        return _geometry(wanted, args.errors, as_json=args.json)
     setting = Setting(
         output=args.output,
         width_px=args.width,
@@ -83,6 +90,41 @@ def run(args: argparse.Namespace) -> int:
     else:
         show(outcomes, args.errors)
     return 1 if any(outcome.plan == "certified" and outcome.hole_px for outcome in outcomes) else 0
+
+
+def _geometry(wanted: Sequence[Case], spread: Spread, *, as_json: bool) -> int:
+    """Fly without photos, and print what is left uncovered."""
+    from panoexec.experiment.geometry import fly  # noqa: PLC0415
+
+    found = fly(wanted, spread)
+    if as_json:
+        print_json({"format": _FORMAT, "errors": spread, "flights": [asdict(flights) for flights in found]})
+    else:
+        print_table(
+            "The ground in the photos where they were taken",
+            ("scenario", "plan", "images", "flights", "complete", "most holes", "largest", "at elevation"),
+            [
+                (
+                    str(f.scenario),
+                    f.plan,
+                    str(f.images),
+                    str(f.runs),
+                    str(f.complete),
+                    str(f.holes),
+                    f"{f.largest_deg:.2f}°" if f.holes else "-",
+                    "-" if f.elevation_deg is None else f"{f.elevation_deg:+.1f}°",
+                )
+                for f in found
+            ],
+            left=("plan",),
+            caption=_errors_text(spread),
+        )
+    return 1 if any(f.plan == "certified" and f.complete < f.runs for f in found) else 0
+
+
+def _errors_text(spread: Spread) -> str:
+    how = "uniform within ±" if spread == "uniform" else "normal with deviations of "
+    return f"pointing errors {how}0.017° in pitch and roll, 0.667° in yaw"
 
 
 def _run(wanted: Sequence[Case], setting: Setting) -> list[Outcome]:
@@ -109,7 +151,7 @@ def _run(wanted: Sequence[Case], setting: Setting) -> list[Outcome]:
     return outcomes
 
 
-def show(outcomes: Sequence[Outcome], spread: str) -> None:
+def show(outcomes: Sequence[Outcome], spread: Spread) -> None:
     """The table, beside the paper's."""
     from panoexec.experiment.running import merged  # noqa: PLC0415
 
@@ -118,13 +160,12 @@ def show(outcomes: Sequence[Outcome], spread: str) -> None:
         "scenario", "plan", "images", "Table 2", "completeness", "Table 2 ", "runs", "holes", "not tied",
         "misalignment", "photo", "s a run",
     )  # fmt: skip
-    how = "uniform within ±" if spread == "uniform" else "normal with deviations of "
     print_table(
         "The paper's simulation case (Table 2), stitched anew",
         columns,
         [_row(group) for group in groups],
         left=("plan",),
-        caption=f"pointing errors {how}0.017° in pitch and roll, 0.667° in yaw; completeness of the worst run",
+        caption=f"{_errors_text(spread)}; completeness of the worst run",
     )
     worst = [min(group, key=lambda outcome: outcome.completeness) for group in groups]
     for outcome in worst:

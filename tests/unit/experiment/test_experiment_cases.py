@@ -213,3 +213,14 @@ def test_an_output_that_cannot_be_written_and_a_scene_that_cannot_be_read(
     monkeypatch.setattr(running, "_scene", lambda _: procedural_scene(1, 64))
     assert run(["experiment", "--scenario", "1", "--output", str(tmp_path / "file")]) == 2
     assert "cannot be written" in capsys.readouterr().err
+
+
+def test_geometry_alone_finds_the_holes_of_hdrpanos_plan_and_none_in_certified_ones(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    arguments = ["experiment", "--geometry", "--scenario", "2", "--seeds", "2", "--plans", "hdrpano", "certified"]
+    assert run([*arguments, "--json"]) == 0
+    hdrpano, certified = json.loads(capsys.readouterr().out)["flights"]
+    assert (certified["plan"], certified["complete"], certified["holes"]) == ("certified", 2, 0)
+    assert (hdrpano["plan"], hdrpano["complete"], hdrpano["holes"]) == ("hdrpano", 0, 4)
+    assert hdrpano["elevation_deg"] == pytest.approx(-74, abs=1)

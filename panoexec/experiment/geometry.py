@@ -1,0 +1,82 @@
+"""What geometry alone says of a plan flown with pointing errors: exact holes in the ground, without a photo.
+
+A stitcher can only lose what is there; whether the ground is in the photos at all is decided by where they were taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from panoexec.experiment.capture import PointingErrors, Spread, true_rotations
+from panoexec.experiment.cases import Case, plan_of
+from panoexec.planning.holes import coverage_holes
+from panoexec.planning.model import NO_TOLERANCE, Plan
+from panoexec.planning.published import PAPER_TOLERANCE
+
+HORIZON_DEG: Final = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flights:
+    """All flights of a plan, each with other errors.
+
+    Attributes:
+        scenario, plan: which.
+        images: of the plan.
+        runs: flights.
+        complete: flights whose photos hold all of the ground.
+        holes: the most in one flight.
+        largest_deg: the largest hole of all flights across, 0 without one.
+        elevation_deg: where that is; None without one.
+    """
+
+    scenario: int
+    plan: str
+    images: int
+    runs: int
+    complete: int
+    holes: int
+    largest_deg: float
+    elevation_deg: float | None
+
+
+def fly(wanted: Sequence[Case], spread: Spread) -> list[Flights]:
+    """Fly all cases and look for holes in the ground, exactly.
+
+    Args:
+        wanted: from `cases`; repeats are the same flight.
+        spread: of the pointing errors.
+    """
+    seeds: dict[tuple[int, str], set[int]] = {}
+    for case in wanted:
+        seeds.setdefault((case.scenario, case.plan), set()).add(case.seed)
+    return [
+        _flights(scenario, name, plan_of(scenario, name), sorted(numbers), spread)
+        for (scenario, name), numbers in sorted(seeds.items(), key=lambda item: item[0][0])
+    ]
+
+
+def _flights(scenario: int, name: str, plan: Plan, seeds: Sequence[int], spread: Spread) -> Flights:
+    band = plan.constraints.band
+    ground = replace(
+        plan.constraints,
+        band=replace(band, elevation_max_deg=min(band.elevation_max_deg, HORIZON_DEG)),
+        tolerance=NO_TOLERANCE,
+    )
+    found = []
+    for seed in seeds:
+        errors = PointingErrors(size=PAPER_TOLERANCE, spread=spread, seed=seed)
+        found.append([region.hole for region in coverage_holes(plan.camera, ground, true_rotations(plan, errors))])
+    largest = max((hole for holes in found for hole in holes), key=lambda hole: hole.size_deg, default=None)
+    return Flights(
+        scenario=scenario,
+        plan=name,
+        images=len(plan.shots),
+        runs=len(seeds),
+        complete=sum(1 for holes in found if not holes),
+        holes=max(len(holes) for holes in found),
+        largest_deg=0.0 if largest is None else largest.size_deg,
+        elevation_deg=None if largest is None else largest.elevation_deg,
+    )
