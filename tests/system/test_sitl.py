@@ -125,6 +125,50 @@ def test_a_whole_panorama_in_wind_and_back_on_the_ground(tmp_path: Path) -> None
     assert position["altitude_m"] == pytest.approx(home.home_altitude_m + 30.0, abs=3.0)
 
 
+def test_a_two_axis_gimbal_is_panned_by_the_vehicle(tmp_path: Path) -> None:
+    arguments = ("--sitl", "--yaw", "vehicle", "--elevation", "-60", "10", "--azimuth", "-90", "90")
+    done = subprocess.run(
+        command(*arguments, output=tmp_path), capture_output=True, text=True, timeout=400, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert (summary["state"], summary["missing"]) == ("complete", [])
+    shots = manifest_in(tmp_path)["shots"]
+    assert summary["turns"] >= len({round(shot["target"]["yaw_deg"], 1) for shot in shots}) - 1
+    for shot in shots:
+        attempt = next(a for a in shot["attempts"] if a["number"] == shot["accepted_attempt"])
+        assert abs(attempt["error_deg"]["pitch"]) <= 0.1
+        assert abs(attempt["error_deg"]["yaw"]) <= 2.0
+
+
+def test_the_vehicle_turns_where_a_gimbal_with_stops_does_not_reach(tmp_path: Path) -> None:
+    arguments = ("--sitl", "--yaw", "auto", "--gimbal-pan", "-40", "40", "--elevation", "-20", "20")
+    done = subprocess.run(
+        command(*arguments, output=tmp_path), capture_output=True, text=True, timeout=400, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert (summary["state"], summary["missing"]) == ("complete", [])
+    assert summary["turns"] >= 4
+    assert abs(summary["worst"]["yaw_deg"]) <= 0.7
+
+
+def test_a_camera_on_a_servo_is_proven_by_its_count(tmp_path: Path) -> None:
+    done = subprocess.run(
+        command("--sitl", "--trigger", "servo", *SMALL, output=tmp_path),
+        capture_output=True,
+        text=True,
+        timeout=400,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert (summary["state"], summary["missing"]) == ("complete", [])
+    assert summary["evidence"] == {"counted": summary["shots"]}
+    # the payload exposes when the autopilot says that it has triggered
+    assert summary["photos"] == summary["attempts"]
+
+
 def test_ctrl_c_ends_everything_and_the_mission_goes_on_later(tmp_path: Path) -> None:
     with in_the_middle(tmp_path, "--sitl") as (process, children):
         process.send_signal(signal.SIGINT)
