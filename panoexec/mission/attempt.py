@@ -286,6 +286,7 @@ class Shooter:
         """
         tracker, free_s = wait.tracker, wait.commanded_s
         nose = self.turner if self._nose_pans else None
+        rests_at_s = -math.inf if self.turner is None else self.turner.rests_at_s
         while True:
             await asyncio.sleep(0)  # a machine that cannot keep up with the samples must still hear everybody else
             self._read(wait, nose)
@@ -295,7 +296,7 @@ class Shooter:
             if not tracker.is_settled(now_s):
                 await self._gather(wait, now_s, every_sample=nose is not None)
                 continue
-            blocker, left_s = clear(), self._interval_left_s()
+            blocker, left_s = clear(), max(self._interval_left_s(), rests_at_s - self.clock.monotonic())
             if blocker is None and left_s <= 0:
                 return max(tracker.settled_at_s, free_s)
             wait.for_its_turn = True

@@ -41,6 +41,8 @@ class Turner:
     Attributes:
         trim_deg: what is added to a heading so that the camera comes to look there.
         turns: how often the vehicle was told to turn to another heading.
+        rests_at_s: when the last turn under a gimbal that pans will be over. While the nose turns, so fast that a delay
+            of 30 ms is a degree, the gimbal's word for the yaw that it holds is not to be trusted to a tenth of that.
     """
 
     def __init__(self, *, vehicle: Vehicle, clock: Clock, turning: Turning, tolerance_yaw_deg: float) -> None:
@@ -54,6 +56,7 @@ class Turner:
         self._needed = False
         self.trim_deg = 0.0
         self.turns = 0
+        self.rests_at_s = -math.inf
 
     @property
     def modes(self) -> tuple[str, ...] | None:
@@ -100,6 +103,8 @@ class Turner:
             self.turns += 1
         expected_s = float(turn_times_s(self._turning, turn_deg))
         await self._command(expected_s)
+        if not two_axes:
+            self.rests_at_s = self._steady_from_s
         return expected_s
 
     def note(self, time_s: float, yaw_error_deg: float) -> None:

@@ -17,6 +17,7 @@ from panoexec.mission.guards import Situation, TurnGuard
 from panoexec.mission.record import Verdict
 from panoexec.mission.settings import GuardSettings, MissionSettings
 from panoexec.mission.turning import AVERAGED_S, GAIN, Turner
+from panoexec.planning.duration import turn_times_s
 from panoexec.planning.model import GimbalLimits, Shot, Turning
 from panoexec.states import MissionState
 from tests.unit.fakes.checks import check_mission
@@ -104,6 +105,16 @@ def test_auto_the_vehicle_turns_only_where_the_gimbal_does_not_reach() -> None:
     assert len(world.vehicle.turns) == 4, "90° apart, 60° of reach: one heading each"
     for (_, _, yaw), (_, heading) in zip(world.gimbal.commands, world.vehicle.turns, strict=True):
         assert abs(float(wrap_180(yaw - heading))) <= 30.0 + 1e-6
+
+
+def test_auto_takes_no_photo_while_the_nose_turns_under_the_gimbal() -> None:
+    world = fly(LITTLE)
+    before = 30.0
+    for (turned_s, heading), photo in zip(world.vehicle.turns, world.camera.photos, strict=True):
+        turn_s = float(turn_times_s(TURNING, wrap_180(heading - before)))
+        assert turn_s > 0.5 + TURNING.settle_s
+        assert photo.triggered_s >= turned_s + turn_s - 1e-6
+        before = heading
 
 
 def test_auto_leaves_the_vehicle_alone_while_the_gimbal_reaches() -> None:
