@@ -61,7 +61,7 @@ async def test_a_mission_from_start_to_complete_by_mqtt_with_the_broker_restarte
     mission = tmp_path / "data" / "missions" / start["data"]["mission_id"]
     manifest = json.loads((mission / "manifest.json").read_text())
     assert manifest["state"] == "complete"
-    for name in ("panorama.pto", "papywizard.xml", "shots.csv"):
+    for name in ("panorama.pto", "papywizard.xml", "shots.csv", "report.html"):
         assert (mission / name).stat().st_size > 0, name
 
 

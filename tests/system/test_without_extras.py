@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.report_missions import photographed
+
 WITHOUT = """
 import sys
 from importlib.machinery import PathFinder
@@ -72,3 +74,15 @@ print(*sorted(name for name in sys.modules if name.startswith(("panoexec.sim", "
     done = python(program)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == ""
+
+
+def test_the_report_goes_without_a_picture_and_the_experiment_says_what_it_needs(tmp_path: Path) -> None:
+    directory = photographed(tmp_path / "20260921T141300.000Z", width_px=32)
+    done = python(RUN, "report", str(directory.path))
+    assert done.returncode == 0, done.stderr
+    assert "no picture of the sphere: needs Pillow: pip install 'panoexec[report]'" in done.stderr
+    assert 'id="panorama-jpeg"' not in directory.report.read_text(encoding="utf-8")
+    done = python(RUN, "experiment", "--scenario", "1", "--output", str(tmp_path / "out"))
+    assert done.returncode == 2
+    assert "pip install 'panoexec[sim]'" in done.stderr
+    assert not (tmp_path / "out").exists()

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from panoexec import events as ev
 from panoexec.angles import rotation, rotation_from_quaternion
 from panoexec.errors import InputFileError
 from panoexec.manifest import ManifestWriter, read_manifest
@@ -114,3 +115,29 @@ def test_other_files_are_refused(tmp_path: Path, text: str | None, problem: str)
         path.write_text(text, encoding="utf-8")
     with pytest.raises(InputFileError, match=problem):
         read_manifest(path)
+
+
+def test_the_history_of_the_battery_goes_on_after_a_restart_and_holds_changes_only(tmp_path: Path) -> None:
+    path = tmp_path / "manifest.json"
+    charges = iter([0.8, 0.8, 0.7995, 0.79, float("nan")])
+
+    async def main() -> list[dict[str, Any]]:
+        async with a_world() as world:
+            mission = world.mission()
+            writer = ManifestWriter(
+                path=path, plan=world.plan, record=mission.record, vehicle={}, clock=world.clock,
+                certificate=lambda: None, battery=lambda: next(charges),
+            )  # fmt: skip
+            for _ in range(5):
+                writer.publish(ev.Warned(code="x", text="y"))
+            return list(writer.document()["battery"])
+
+    earlier = {"time": "2026-09-21T14:13:00.000Z", "charge_frac": 0.9}
+    path.write_text(json.dumps({"format": "panoexec.manifest/1", "battery": [earlier]}), encoding="utf-8")
+    found = run_virtual(main())
+    assert found[0] == earlier
+    assert [item["charge_frac"] for item in found] == [0.9, 0.8, 0.79]
+    # a history that cannot be read is no reason not to fly
+    charges = iter([0.8] * 5)
+    path.write_text(json.dumps({"format": "panoexec.manifest/1", "battery": ["full"]}), encoding="utf-8")
+    assert [item["charge_frac"] for item in run_virtual(main())] == [0.8]
