@@ -22,6 +22,7 @@ from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
 from mavsdk.plugins.param import Param, ParamError, ParamResult
 
 from panoexec.adapters.connection_url import ConnectionUrl, parse_connection
+from panoexec.adapters.datagram_mute import DatagramMute
 from panoexec.adapters.link_watch import DEFAULT_STREAMS, HEARTBEAT_LOST_S, Stream
 from panoexec.adapters.message_hub import Handler, MavMessage, MessageHub
 from panoexec.adapters.stream_keeper import AUTOPILOT, StreamKeeper
@@ -40,6 +41,7 @@ DEFAULT_COMPONENT: Final = 191
 
 REQUEST_MESSAGE: Final = 512
 FAST_STREAMS: Final = ("GIMBAL_DEVICE_ATTITUDE_STATUS", "ATTITUDE")
+_GIMBAL_REPORTS: Final = ("GIMBAL_DEVICE_ATTITUDE_STATUS", 285)
 _PARAMETER_TRIES: Final = 3
 _PARAMETER_PAUSE_S: Final = 0.2
 _TICK_S: Final = 0.25
@@ -97,7 +99,8 @@ class MavsdkLink:
         self._sparing = sparing
         self._calls = WorkerCalls("mavsdk")
         self._session = VendorSession(self.url, self._calls)
-        self._hub = MessageHub(clock, self.post)
+        self._muted = DatagramMute(self.url, _GIMBAL_REPORTS[1])
+        self._hub = MessageHub(clock, self.post, mute=self._mute)
         self.streams = StreamKeeper(
             streams, hub=self._hub, clock=clock, command=self.command, rebooted=lambda: self.post(self._came_back)
         )
@@ -448,6 +451,13 @@ class MavsdkLink:
         _log.info("autopilot found", url=str(self.url), system_id=vehicle)
         self._found.set()
         self._alive.set()
+
+    def _mute(self, name: str, muted: bool) -> None:
+        if name == _GIMBAL_REPORTS[0]:
+            if muted:
+                self._muted.mute()
+            else:
+                self._muted.unmute()
 
     async def _open(self) -> None:
         try:

@@ -40,10 +40,19 @@ Handler: TypeAlias = Callable[[MavMessage], None]
 class MessageHub:
     """Fans messages out to handlers; outlives the connection, to which it is attached when there is one."""
 
-    def __init__(self, clock: Clock, post: Callable[..., None]) -> None:
-        """Args: the mission's clock; what calls a function on the event loop from another thread."""
+    def __init__(
+        self, clock: Clock, post: Callable[..., None], *, mute: Callable[[str, bool], None] = lambda _name, _muted: None
+    ) -> None:
+        """Describe it.
+
+        Args:
+            clock: of the mission.
+            post: calls a function on the event loop from another thread.
+            mute: told, on the loop, that nobody needs the next messages of a name, or that somebody does again.
+        """
         self._clock = clock
         self._post = post
+        self._mute = mute
         self._handlers: dict[str, tuple[Handler, ...]] = {}
         self._direct: MavlinkDirect | None = None
         self._subscriptions: dict[str, Any] = {}
@@ -90,6 +99,7 @@ class MessageHub:
         if self._direct is not None:
             for name in self._handlers:
                 if name not in self._subscriptions:
+                    self._mute(name, False)
                     self._subscribe(name)
 
     def _subscribe(self, name: str) -> None:
@@ -113,3 +123,4 @@ class MessageHub:
     def _pause(self, name: str) -> None:
         if self._direct is not None and name in self._spared and name in self._subscriptions:
             self._direct.unsubscribe_message(self._subscriptions.pop(name))
+            self._mute(name, True)
