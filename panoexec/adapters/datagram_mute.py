@@ -27,7 +27,7 @@ _MAGIC: Final = 0xFD
 _FRAME: Final = 12
 """A MAVLink 2 frame without payload and signature: ten bytes of header, two of checksum."""
 
-# linux/bpf_common.h: load a byte, half a word, the length; add, copy to X, jump if at least, if equal, if equal to X, return
+# linux/bpf_common.h: load a byte, half a word, the length; add, copy to X, jump if not less, if equal, if X; return
 _LDB, _LDH, _LEN, _ADD, _TAX, _JGE, _JEQ, _JEQ_X, _RET = 0x30, 0x28, 0x80, 0x04, 0x07, 0x35, 0x15, 0x1D, 0x06
 
 
