@@ -40,6 +40,7 @@ from panoexec.mqtt.transactions import Noted, Transactions
 from panoexec.planfile import camera_to_data, certificate_to_data, estimate_to_data
 from panoexec.planning.model import Plan
 from panoexec.service.missions import Missions
+from panoexec.service.planner import plan_apart
 from panoexec.service.vehicle_link import VehicleLink
 from panoexec.service.wishes import Wish, chosen_profile, settings_of, wish_of
 
@@ -234,7 +235,7 @@ class Commands:
         known = self._plans.get(key)
         if known is None:
             async with self._planning:
-                known = await asyncio.to_thread(wish.plan)
+                known = await plan_apart(wish.job())
             self._plans[key] = known
             while len(self._plans) > _KEPT_PLANS:
                 self._plans.popitem(last=False)

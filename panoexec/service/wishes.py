@@ -15,9 +15,8 @@ from panoexec.mission.settings import GuardSettings, MissionSettings
 from panoexec.mqtt.credentials import credential_problems
 from panoexec.mqtt.messages import PlanRequest, RefusedRequestError
 from panoexec.planfile import PlanFile, plan_from_data
-from panoexec.planning.making import finished, make_plan
+from panoexec.planning.job import Job
 from panoexec.planning.model import Band, Constraints, GimbalLimits, Plan, Timing, Tolerance, Turning
-from panoexec.planning.request import check_request
 from panoexec.planning.sequence import Order
 
 
@@ -42,19 +41,30 @@ class Wish:
     reference: Literal["north", "heading"]
     file: PlanFile | None = None
 
+    def job(self) -> Job:
+        """What is to be planned.
+
+        Raises:
+            InputFileError: the given plan lacks something.
+        """
+        camera, constraints = self.profile.camera, self.constraints
+        given = None if self.file is None else self.file.plan(camera=camera, constraints=constraints)
+        return Job(
+            camera=camera,
+            constraints=constraints,
+            method=self.method,
+            order=self.order,
+            timing=self.timing,
+            plan=given,
+        )
+
     def plan(self) -> Plan:
-        """Compute; takes seconds and much of a core.
+        """Compute, here and now.
 
         Raises:
             PlanningError: no plan can satisfy the constraints.
         """
-        if self.file is None:
-            return make_plan(
-                self.profile.camera, self.constraints, method=self.method, timing=self.timing, order=self.order
-            )
-        plan = self.file.plan(camera=self.profile.camera, constraints=self.constraints)
-        check_request(plan.camera, plan.constraints)
-        return finished(plan, self.timing)
+        return self.job().done()
 
 
 def configured_profile(config: Config) -> CameraProfile:
