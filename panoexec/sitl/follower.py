@@ -134,9 +134,12 @@ class Follower:
     async def _set(self) -> None:
         assert self._haste is not None
         assert self._set_speed is not None
-        _log.debug("speed of the simulation", speed=self._haste.speed)
+        told = math.nan
         try:
-            await self._set_speed(self._haste.speed)
+            while told != self._haste.speed:  # it may change on the way
+                told = self._haste.speed
+                _log.debug("speed of the simulation", speed=told)
+                await self._set_speed(told)
         except DeviceError as error:
             _log.debug("the speed was not changed", error=str(error))
         finally:
