@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import json
 import signal
 import socket
@@ -231,6 +232,38 @@ async def test_the_payload_joins_an_autopilot_again_that_restarts() -> None:
         server.close()
         await asyncio.gather(first[1].wait_closed(), second[1].wait_closed())
     assert any("trying to join it again" in note for note in notes)
+
+
+async def test_the_payload_lives_the_time_that_its_autopilot_tells() -> None:
+    """Five seconds pass at once, as the autopilot says, and none of them is skipped."""
+    connections: asyncio.Queue[tuple[asyncio.StreamReader, asyncio.StreamWriter]] = asyncio.Queue()
+    stamps_ms: list[int] = []
+    async with asyncio.timeout(30):
+        server = await asyncio.start_server(lambda r, w: connections.put_nowait((r, w)), "127.0.0.1", 0)
+        config = SimConfig(attach_url=f"tcp:127.0.0.1:{server.sockets[0].getsockname()[1]}", speedup=0.01)
+        async with running_simulator(config) as simulator:
+            reader, writer = await connections.get()
+            for boot_us in (2**32 - 1_000_000, 4_000_000):
+                writer.write(state_of_autopilot(boot_us))
+            parser = mavlink.MAVLink(None)
+            while not stamps_ms or stamps_ms[-1] < 4900 - 1000 * config.payload_boot_s:
+                heard = parser.parse_buffer(await reader.read(4096)) or ()
+                stamps_ms += [m.time_boot_ms for m in heard if m.get_type() == "GIMBAL_DEVICE_ATTITUDE_STATUS"]
+        writer.close()
+        server.close()
+        await writer.wait_closed()
+    steps_ms = [later - earlier for earlier, later in itertools.pairwise(stamps_ms) if earlier > 0]
+    assert steps_ms
+    assert set(steps_ms) == {20}
+    assert simulator.summary["simulated_s"] >= 5.0
+
+
+def state_of_autopilot(boot_us: int) -> bytes:
+    """AUTOPILOT_STATE_FOR_GIMBAL_DEVICE (286), level and heading north."""
+    message = mavlink.MAVLink_autopilot_state_for_gimbal_device_message(
+        1, 154, boot_us, (1.0, 0.0, 0.0, 0.0), 0, 0.0, 0.0, 0.0, 0, 0.0, 0, 0, 0.0
+    )
+    return bytes(message.pack(mavlink.MAVLink(None, 1, 1)))
 
 
 async def heartbeats(reader: asyncio.StreamReader) -> set[int]:
