@@ -249,7 +249,8 @@ class SphereMap {
     const c = this.context;
     for (const hole of (data.certificate && data.certificate.holes) || []) {
       const p = this.place(direction(hole.elevation_deg, hole.azimuth_deg), basis);
-      if (!p) continue;
+      // large ones are seen as they are; a small one needs a mark
+      if (!p || hole.size_deg > 12) continue;
       const size = Math.max(7, (hole.size_deg / 2) * RAD * this.radius);
       c.strokeStyle = colour("c0"); c.lineWidth = 2.5;
       c.beginPath(); c.arc(p[0], p[1], size, 0, 2 * Math.PI); c.stroke();
