@@ -80,12 +80,15 @@ class Event:
         mission_id: which mission.
         seq: 1, 2, 3, … within the mission.
         time_utc_s: wall time.
+        clock_s: the mission's clock, seconds (of a dry-run: the simulated vehicle's); differences within one process
+            are durations, whatever became of wall time. NaN where nobody told.
         state: the mission's state after the event.
     """
 
     mission_id: str = ""
     seq: int = 0
     time_utc_s: float = 0.0
+    clock_s: float = NAN
     state: MissionState = MissionState.IDLE
 
     type: ClassVar[str] = "event"

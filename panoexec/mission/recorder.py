@@ -50,6 +50,7 @@ class Recorder:
             mission_id=self.record.mission_id,
             seq=self.record.seq + 1,
             time_utc_s=self._clock.time(),
+            clock_s=self._clock.monotonic(),
             state=self.record.state if state is None else state,
         )
         self.record.apply(stamped)

@@ -137,7 +137,8 @@ def _timeline(times: Timeline, source: Source) -> dict[str, Any]:
         "limit_s": _round(times.limit_s, 2),
         "totals_s": {name: _round(value, 2) for name, value in totals.items()},
         "interval_s": source.settings.interval_s if source.settings else None,
-        "speedup": source.speedup,
+        "lived_s": _round(times.lived_s, 2),
+        "pace": _round(times.pace, 2),
         "measured": bool(source.events),
     }
 

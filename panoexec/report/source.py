@@ -43,7 +43,7 @@ class Source:
         plan: as asked for; None if there is none, or it cannot be read.
         settings: as flown; None without a journal.
         events: of the journal; empty without one.
-        speedup: how much faster than the wall clock the mission's seconds went (dry-runs).
+        simulated: whether the seconds are a simulated vehicle's, not those of wall time.
         photos: by shot index, of the accepted attempt.
         stitch: `panoexec.stitch/1` if the mission was stitched.
         notes: what could not be read, for people.
@@ -54,7 +54,7 @@ class Source:
     plan: PlanFile | None = None
     settings: MissionSettings | None = None
     events: tuple[Event, ...] = ()
-    speedup: float = 1.0
+    simulated: bool = False
     photos: Mapping[int, PhotoFile] = field(default_factory=dict)
     stitch: Mapping[str, Any] | None = None
     notes: tuple[str, ...] = ()
@@ -73,7 +73,7 @@ def read_source(directory: MissionDirectory) -> Source:
     """
     manifest = read_manifest(directory.manifest)
     notes: list[str] = []
-    plan, settings, speedup = None, None, 1.0
+    plan, settings, simulated = None, None, False
     events: tuple[Event, ...] = ()
     try:
         plan = read_plan_file(directory.plan)
@@ -83,8 +83,8 @@ def read_source(directory: MissionDirectory) -> Source:
         head, found = read_journal(directory.journal)
         events = tuple(found)
         settings = decode(MissionSettings, json.loads(head["settings"]))
-        speedup = _speedup(json.loads(head.get("extra", "{}")))
-    except (UsageError, KeyError, ValueError) as error:
+        simulated = "simulation" in json.loads(head.get("extra", "{}"))
+    except (UsageError, KeyError, TypeError, ValueError) as error:
         notes.append(f"without the journal's times: {error}")
     return Source(
         folder=directory.path,
@@ -92,18 +92,11 @@ def read_source(directory: MissionDirectory) -> Source:
         plan=plan,
         settings=settings,
         events=events,
-        speedup=speedup,
+        simulated=simulated,
         photos=_photos(manifest, directory.path),
         stitch=_stitch(directory.path / "stitch" / "stitch.json"),
         notes=tuple(notes),
     )
-
-
-def _speedup(extra: object) -> float:
-    try:
-        return max(1e-3, float(extra["simulation"]["speedup"]))  # type: ignore[index]
-    except (KeyError, TypeError, ValueError):
-        return 1.0
 
 
 def _photos(manifest: Mapping[str, Any], folder: Path) -> dict[int, PhotoFile]:

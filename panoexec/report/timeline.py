@@ -9,7 +9,7 @@ time and the rest is waiting for the camera; else all the rest is settling.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Final
@@ -63,11 +63,15 @@ class Timeline:
         attempts: their times.
         duration_s: from the first slew to the last exposure's end.
         limit_s: the physical limit for the same shots in the same order; NaN if not known.
+        lived_s: from the mission's first event to its last, without the time that no process flew; NaN if not known.
+        pace: seconds of the mission's clock in a second of wall time: not 1 in a dry-run that was sped up.
     """
 
     attempts: tuple[AttemptTimes, ...]
     duration_s: float
     limit_s: float
+    lived_s: float = math.nan
+    pace: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,15 +87,16 @@ def timeline(source: Source) -> Timeline:
     axis = _Axis(source)
     begun = sorted(
         (
-            _Begun(int(shot["index"]), int(attempt["number"]), attempt, axis.at(_utc_s(attempt.get("started"))))
+            _Begun(index, number, attempt, axis.start(index, number, began_utc_s))
             for shot in source.manifest["shots"]
             for attempt in shot["attempts"]
-            if math.isfinite(_utc_s(attempt.get("started")))
+            for index, number in [(int(shot["index"]), int(attempt["number"]))]
+            if math.isfinite(began_utc_s := _utc_s(attempt.get("started")))
         ),
         key=lambda item: item.start_s,
     )
     if not begun:
-        return Timeline(attempts=(), duration_s=0.0, limit_s=math.nan)
+        return Timeline(attempts=(), duration_s=0.0, limit_s=math.nan, lived_s=axis.lived_s, pace=axis.pace)
     limits = _limits(begun, source.settings)
     origin = begun[0].start_s
     found: list[AttemptTimes] = []
@@ -102,7 +107,9 @@ def timeline(source: Source) -> Timeline:
         times, ready_s = _times(item, before, following, ready_s, axis, source.settings)
         found.append(_moved(times, origin, limits.get((item.shot, item.number), 0.0)))
     limit_s = sum(limits.values()) if limits else math.nan
-    return Timeline(attempts=tuple(found), duration_s=found[-1].end_s, limit_s=limit_s)
+    return Timeline(
+        attempts=tuple(found), duration_s=found[-1].end_s, limit_s=limit_s, lived_s=axis.lived_s, pace=axis.pace
+    )
 
 
 def _times(  # noqa: PLR0917  (private)
@@ -196,42 +203,68 @@ def _limits(begun: Sequence[_Begun], settings: MissionSettings | None) -> dict[t
 
 
 class _Axis:
-    """Wall time to seconds of the mission: sped up as it was flown, without the gaps between two processes."""
+    """Seconds of the mission's clock, one process after the other without the gaps between them.
+
+    Attributes:
+        begun, ended: when attempts (shot, number) began and when their exposures were over, as the journal has it.
+        lived_s, pace: as of `Timeline`.
+    """
 
     def __init__(self, source: Source) -> None:
-        self._speedup = source.speedup
-        self._gaps: list[tuple[float, float]] = []
+        self._marks: list[tuple[float, float]] = []
         self._pauses: list[tuple[float, float]] = []
+        self.begun: dict[tuple[int, int], float] = {}
         self.ended: dict[tuple[int, int], float] = {}
-        last_s, paused_s = math.nan, math.nan
-        for event in source.events:
+        self.lived_s = math.nan
+        self.pace = 1.0
+        paused_s, wall_s = math.nan, 0.0
+        for event, now_s in self._lived(source.events):
+            if self._marks and not isinstance(event, ev.MissionStarted):
+                wall_s += event.time_utc_s - self._marks[-1][0]
+            self._marks.append((event.time_utc_s, now_s))
+            self.lived_s = now_s
             match event:
-                case ev.MissionStarted(resumed=True) if math.isfinite(last_s):
-                    self._gaps.append((last_s, event.time_utc_s))
+                case ev.MissionStarted():
                     paused_s = math.nan
                 case ev.MissionPaused():
-                    paused_s = event.time_utc_s
+                    paused_s = now_s
                 case ev.MissionResumed() if math.isfinite(paused_s):
-                    self._pauses.append((paused_s, event.time_utc_s))
+                    self._pauses.append((paused_s, now_s))
                     paused_s = math.nan
+                case ev.ShotStarted():
+                    self.begun[event.shot, event.attempt] = now_s
+                case ev.ShotExposed():
+                    self.ended[event.shot, event.attempt] = now_s
+                case ev.ShotRejected() | ev.ShotInterrupted():
+                    self.ended.setdefault((event.shot, event.attempt), now_s)
                 case _:
                     pass
-            last_s = event.time_utc_s
-        for event in source.events:
-            if isinstance(event, ev.ShotExposed):
-                self.ended[event.shot, event.attempt] = self.at(event.time_utc_s)
-            elif isinstance(event, ev.ShotRejected | ev.ShotInterrupted):
-                self.ended.setdefault((event.shot, event.attempt), self.at(event.time_utc_s))
+        if source.simulated and wall_s > 0:
+            self.pace = self.lived_s / wall_s
 
-    def at(self, utc_s: float) -> float:
-        """Seconds of the mission at a moment of wall time."""
-        lost = sum(max(0.0, min(utc_s, end) - start) for start, end in self._gaps if start < utc_s)
-        return (utc_s - lost) * self._speedup
+    @staticmethod
+    def _lived(events: Sequence[ev.Event]) -> Iterator[tuple[ev.Event, float]]:
+        """Each event and how long the mission had lived by then."""
+        now_s = 0.0
+        before: ev.Event | None = None
+        for event in events:
+            if before is not None and not (isinstance(event, ev.MissionStarted) and event.resumed):
+                by_clock_s = event.clock_s - before.clock_s
+                now_s += by_clock_s if math.isfinite(by_clock_s) else event.time_utc_s - before.time_utc_s
+            yield event, now_s
+            before = event
+
+    def start(self, shot: int, number: int, utc_s: float) -> float:
+        """When an attempt began; by the wall time that the manifest gives, where the journal does not have it."""
+        known = self.begun.get((shot, number))
+        if known is not None or not self._marks:
+            return utc_s if known is None else known
+        at_utc_s, at_s = next((mark for mark in reversed(self._marks) if mark[0] <= utc_s), self._marks[0])
+        return at_s + (utc_s - at_utc_s) * self.pace
 
     def paused_s(self, start_s: float, end_s: float) -> float:
         """How long the mission was paused between two moments of the axis."""
-        spans = [(self.at(start), self.at(end)) for start, end in self._pauses]
-        return sum(max(0.0, min(end, end_s) - max(start, start_s)) for start, end in spans)
+        return sum(max(0.0, min(end, end_s) - max(start, start_s)) for start, end in self._pauses)
 
 
 def _utc_s(stamp: object) -> float:

@@ -147,7 +147,7 @@ function drawBattery(holder) {
       svg("path", { d: `${line}V${base}H${left}Z`, fill: "var(--accent)", opacity: 0.12 }),
       svg("path", { d: line, fill: "none", stroke: "var(--accent)", "stroke-width": 2.2, "stroke-linejoin": "round" }),
       svg("text", { x: left, y: base + 17 }, "start"),
-      svg("text", { x: width - right, y: base + 17, "text-anchor": "end" }, seconds(span * data.timeline.speedup)),
+      svg("text", { x: width - right, y: base + 17, "text-anchor": "end" }, seconds(span * data.timeline.pace)),
     );
     holder.replaceChildren(root);
   });

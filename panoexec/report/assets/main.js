@@ -4,7 +4,6 @@ const { mission, counts, certificate, timeline, photos, stitch } = data;
 const STATES = { complete: "good", incomplete: "warn", paused: "warn", aborted: "bad", failed: "bad" };
 const pill = (text, kind) => el("span", { class: `pill ${kind || ""}` }, text);
 const when = (stamp) => (stamp ? stamp.replace("T", " ").replace(/\.\d+/, "").replace("Z", " UTC") : null);
-const lengthOf = (t) => (t && t.started && t.finished ? seconds(((Date.parse(t.finished) - Date.parse(t.started)) / 1000) * timeline.speedup) : null);
 
 function head() {
   const place = mission.position, spot = isNumber(place.latitude_deg)
@@ -172,7 +171,7 @@ function batteryAndFacts() {
   } else card("battery", "Battery", "The vehicle did not say.");
   const { hfov_deg: h, vfov_deg: v, image_px: px } = data.camera, tau = data.tolerance_deg;
   card("facts", "Mission", null, facts([
-    ["started", when(mission.times.started)], ["finished", when(mission.times.finished)], ["duration", lengthOf(mission.times)],
+    ["started", when(mission.times.started)], ["finished", when(mission.times.finished)], ["duration", timeline.lived_s === null ? null : seconds(timeline.lived_s)],
     ["restarts", mission.times.restarts ? String(mission.times.restarts) : null],
     ["camera", `${data.camera.name}, ${degrees(h, 1)} × ${degrees(v, 1)}, ${px[0]} × ${px[1]} px`],
     ["tolerance τ", `pitch ±${tau.pitch}°, roll ±${tau.roll}°, yaw ±${tau.yaw}°`],
@@ -203,7 +202,7 @@ function main() {
   if (attempts.some((item) => item.times)) {
     card("timeline", "Where the time went", "Each column is one attempt; the line across is the least time that gimbal, settle time, exposure and camera interval allow. Red dots are rejected attempts.", totals,
       legend([["slew", "slew"], ["settle", "settle"], ["expose", "expose"], ["wait", "wait"], ...(timeline.totals_s.paused ? [["paused", "paused"]] : [])]), columns,
-      el("p", { class: "lead", style: { margin: "8px 0 0" } }, "Measured: start, settled, end of the exposure. The slew is counted as the least time it can take, the rest before the trigger as settling, or as waiting where the camera's interval was the last to end." + (timeline.speedup !== 1 ? ` Simulated seconds, flown ${timeline.speedup} times as fast.` : "")));
+      el("p", { class: "lead", style: { margin: "8px 0 0" } }, "Measured: start, settled, end of the exposure. The slew is counted as the least time it can take, the rest before the trigger as settling, or as waiting where the camera's interval was the last to end." + (Math.abs(timeline.pace - 1) > 0.05 ? ` Simulated seconds, flown ${timeline.pace.toFixed(1)} times as fast.` : "")));
     drawTotals(totals);
     drawTimeline(columns);
   } else card("timeline", "Where the time went", "No attempt has begun.");

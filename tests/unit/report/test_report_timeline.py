@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -98,11 +99,36 @@ def test_pauses_are_told_apart_and_the_time_without_a_process_is_left_out() -> N
     assert third.start_s == pytest.approx(10.5)
 
 
-def test_sped_up_missions_are_told_in_their_own_seconds() -> None:
-    shots = [[an_attempt(1, 0.0, 0.0)], [an_attempt(1, 0.6, 45.0, settled_after_s=1.81)]]
-    found = timeline(a_source(shots, (exposed(0, 1, 0.575), exposed(1, 1, 1.6)), speedup=2.0))
-    assert found.attempts[1].start_s == pytest.approx(1.2)
+def test_the_seconds_are_those_of_the_missions_clock_whatever_wall_time_did() -> None:
+    # a vehicle simulated faster now and slower then; and wall time was set back by an hour on the way
+    def at(event: ev.Event, clock_s: float, wall_s: float) -> ev.Event:
+        return replace(event, clock_s=500.0 + clock_s, time_utc_s=START_UTC_S + wall_s)
+
+    def started(shot: int) -> ev.Event:
+        return ev.ShotStarted(shot=shot, attempt=1, round=0, pitch_deg=0.0, yaw_deg=45.0 * shot, patience_s=1.0)
+
+    events = (
+        at(ev.MissionStarted(shots_total=2), -0.5, -0.01),
+        at(started(0), 0.0, 0.0),
+        at(exposed(0, 1, 0.0), 1.15, 0.1),
+        at(started(1), 1.2, 0.9 - 3600.0),
+        at(exposed(1, 1, 0.0), 3.2, 1.0 - 3600.0),
+    )
+    shots = [[an_attempt(1, 0.0, 0.0)], [an_attempt(1, 0.9 - 3600.0, 45.0, settled_after_s=1.81)]]
+    found = timeline(a_source(shots, events, simulated=True))
+    assert [item.start_s for item in found.attempts] == pytest.approx([0.0, 1.2])
+    assert [item.expose_s for item in found.attempts] == pytest.approx([0.15, 0.19])
     assert found.duration_s == pytest.approx(3.2)
+    assert found.lived_s == pytest.approx(3.7)
+
+
+def test_a_sped_up_mission_tells_its_pace() -> None:
+    events = (
+        ev.MissionStarted(shots_total=1, time_utc_s=START_UTC_S, clock_s=7.0),
+        replace(exposed(0, 1, 2.0), clock_s=27.0),
+    )
+    assert timeline(a_source([[]], events, simulated=True)).pace == pytest.approx(10.0)
+    assert timeline(a_source([[]], events)).pace == 1.0
 
 
 def test_without_a_journal_there_are_no_ends_and_no_limit() -> None:
