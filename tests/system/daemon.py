@@ -79,15 +79,15 @@ class Ground:
         """The answer to a request."""
         self.answers.pop(transaction, None)
         await self.send(command, json.dumps({"transaction": transaction, **fields}).encode())
-        await eventually(lambda: transaction in self.answers, 30)
+        await eventually(lambda: transaction in self.answers, 90)
         return self.answers[transaction]
 
     async def send(self, command: str, payload: bytes, *, retain: bool = False) -> None:
-        await eventually(lambda: self._client is not None)
+        await eventually(lambda: self._client is not None, 60)
         assert self._client is not None
         await self._client.publish(f"{BASE}/request/{command}", payload, qos=1, retain=retain)
 
-    async def until(self, condition: Callable[[], object], timeout_s: float = 30.0) -> None:
+    async def until(self, condition: Callable[[], object], timeout_s: float = 120.0) -> None:
         await eventually(condition, timeout_s)
 
     def types(self) -> list[str]:

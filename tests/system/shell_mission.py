@@ -31,7 +31,7 @@ async def heard(process: asyncio.subprocess.Process, topic: str, **wanted: Any) 
     """The next message of that topic with these values; those before it are held to the AsyncAPI document too."""
     assert process.stdout is not None
     while True:
-        line = (await asyncio.wait_for(process.stdout.readline(), 60)).decode().strip()
+        line = (await asyncio.wait_for(process.stdout.readline(), 120)).decode().strip()
         assert line, "mosquitto_sub ended"
         name, _, text = line.partition(" ")
         document: Any = text if name.endswith("/status") else json.loads(text)

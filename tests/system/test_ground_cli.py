@@ -56,7 +56,7 @@ async def outcome(*arguments: object) -> tuple[int, str, str]:
 
 async def document(process: asyncio.subprocess.Process) -> dict[str, Any]:
     """The one JSON document of a process that ends."""
-    out, err = await asyncio.wait_for(process.communicate(), 60)
+    out, err = await asyncio.wait_for(process.communicate(), 180)
     assert out, err.decode()
     return dict(json.loads(out))
 
@@ -110,7 +110,7 @@ async def test_send_and_watch_from_the_first_answer_to_the_last_event(tmp_path: 
                 await listening(broker, 3)
                 assert (await ground.ask("start", "long", method="paper"))["status"] == "ok"
                 assert (await ground.ask("abort", "rain", reason="rain"))["status"] == "ok"
-                _, err_bytes = await asyncio.wait_for(one.communicate(), 60)
+                _, err_bytes = await asyncio.wait_for(one.communicate(), 180)
                 assert one.returncode == 1
                 assert "aborted" in err_bytes.decode()
 

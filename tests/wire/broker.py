@@ -107,7 +107,7 @@ def running_broker(
         broker.stop(kill=True)
 
 
-async def eventually(condition: object, timeout_s: float = 10.0) -> None:
+async def eventually(condition: object, timeout_s: float = 30.0) -> None:
     """Return once the condition, a function without arguments, holds."""
     assert callable(condition)
     async with asyncio.timeout(timeout_s):
