@@ -1,4 +1,4 @@
-"""What every test gets: no asyncio task may outlive it."""
+"""What every test gets: no asyncio task may outlive it, and a busy machine fails no property."""
 
 from __future__ import annotations
 
@@ -7,6 +7,12 @@ import inspect
 from collections.abc import AsyncIterator
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+# by default an example that takes more than 0.2 s fails its test, and so do inputs that are slow to draw: a machine that
+# is busy with something else would decide
+settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("patient")
 
 
 @pytest.fixture
