@@ -8,6 +8,7 @@ from 1). ArduPilot tells its last CAMERA_FEEDBACK (180) again when it is asked f
 from __future__ import annotations
 
 import math
+import time
 from typing import Final
 
 from panoexec.adapters.capture_ledger import StampClock
@@ -22,7 +23,9 @@ IMAGE_CAPTURED: Final = 263
 CAMERA_FEEDBACK: Final = 180
 LAST_IMAGES: Final = 4
 """How many images are asked for: more than can have been in flight."""
-_ANSWER_S: Final = 1.0
+_ANSWER_S: Final = 2.0
+_ALL_S: Final = 4.0
+"""How long (real seconds) images are asked for that do not come."""
 _NO_CLOCK: Final = StampClock()
 
 
@@ -35,8 +38,11 @@ async def recall_images(link: MavsdkLink, *, component: int) -> Recollection:
     """
     status = await link.request_message(CAPTURE_STATUS, "CAMERA_CAPTURE_STATUS", component=component)
     count = int(status.fields["image_count"])
-    photos = []
-    for index in range(max(0, count - LAST_IMAGES), count + 1):
+    photos: list[RememberedPhoto] = []
+    deadline = time.monotonic() + _ALL_S
+    for index in range(count, max(-1, count - LAST_IMAGES - 1), -1):  # the newest matter most
+        if time.monotonic() > deadline:
+            break
         try:
             message = await link.request_message(
                 IMAGE_CAPTURED,
@@ -53,7 +59,7 @@ async def recall_images(link: MavsdkLink, *, component: int) -> Recollection:
         report = captured_report(message, _NO_CLOCK)
         if report.success:
             photos.append(_remembered(link, report.evidence, status))
-    return Recollection(photos=tuple(photos), image_count=count)
+    return Recollection(photos=tuple(reversed(photos)), image_count=count)
 
 
 async def recall_trigger(link: MavsdkLink, *, component: int, pin: bool) -> Recollection:
