@@ -14,7 +14,7 @@ from panoexec.mission.record import Verdict
 from panoexec.states import MissionState
 from tests.unit.fakes.flying import fly, until_event
 from tests.unit.fakes.virtual import run_virtual
-from tests.unit.fakes.world import World, a_world
+from tests.unit.fakes.world import World, a_plan, a_world
 
 S = MissionState
 
@@ -158,3 +158,39 @@ def test_finish_accepts_the_gaps() -> None:
     assert world.record.state is S.INCOMPLETE
     assert 2 <= world.record.shots_done <= 3
     assert "gaps are accepted" in world.record.reason
+
+
+@pytest.mark.parametrize("verb", ["pause", "resume", "skip", "repeat", "finish", "abort", "interrupt"])
+def test_each_verb_is_safe_at_every_instant_of_a_photo(verb: str) -> None:
+    """From the start, through a slew, the settle time, the trigger, the open shutter and the proof, to the end."""
+    trigger_s = fly(plan=a_plan(2)).camera.photos[1].triggered_s - 1000.1
+    instants = [0.0, 1.0, *(trigger_s + step for step in (-0.15, -0.001, 0.06, 0.1, 1.0))]
+    for at_s in instants:
+        asked: list[str] = []
+
+        async def script(world: World, mission: Mission, at_s: float = at_s, asked: list[str] = asked) -> None:
+            await world.clock.sleep(at_s)
+            before = (mission.record.seq, mission.record.state)
+            try:
+                getattr(mission.verbs, verb)()
+            except CommandRefusedError:
+                assert (mission.record.seq, mission.record.state) == before
+                asked.append("refused")
+            else:
+                asked.append("obeyed")
+            while not mission.record.ended and mission.record.state is not S.PAUSED:
+                await world.clock.sleep(0.05)
+            if mission.record.state is S.PAUSED and verb == "pause":
+                mission.verbs.resume()
+
+        world = fly(script, plan=a_plan(2))  # every invariant is checked at its end
+        obeyed = asked == ["obeyed"]
+        state = world.record.state
+        if verb == "abort":
+            assert (state is S.ABORTED) is obeyed
+        elif verb == "interrupt":
+            assert (state is S.PAUSED) is obeyed
+        elif verb in {"pause", "resume", "repeat"} or not obeyed:
+            assert state is S.COMPLETE
+        else:
+            assert state in {S.COMPLETE, S.INCOMPLETE}
