@@ -9,8 +9,8 @@ from collections.abc import AsyncIterator
 import pytest
 from hypothesis import HealthCheck, settings
 
-# by default an example that takes more than 0.2 s fails its test, and so do inputs that are slow to draw: a machine that
-# is busy with something else would decide
+# by default an example that takes more than 0.2 s fails its test, and so do inputs that are slow to draw; both
+# depend on what else the machine does
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")
 
