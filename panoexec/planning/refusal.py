@@ -10,6 +10,7 @@ import numpy as np
 from panoexec.angles import rotation
 from panoexec.errors import PlanningError
 from panoexec.optics import Camera
+from panoexec.planning.adjacency import MUTUAL_OVERLAP
 from panoexec.planning.model import NO_TOLERANCE, Constraints, GimbalLimits, Tolerance
 from panoexec.planning.robust import robust_cores
 from panoexec.planning.row_family import MOST_IN_A_ROW, NeighbourDemand
@@ -20,6 +21,9 @@ from panoexec.planning.variants import worst_loss
 _PITCHES_DEG = (0.0, -30.0, -60.0, -90.0)
 _COUNTS_TRIED = 12
 _STEPS = 40
+
+_WIDTH = 4
+"""Of searches that only have to tell whether there is a way at all."""
 
 
 def refusal(camera: Camera, constraints: Constraints) -> PlanningError:
@@ -78,7 +82,7 @@ def _gimbal(camera: Camera, constraints: Constraints) -> str | None:
         return f"{pan}: none of the azimuths asked for is within it"
     if layout.blind_deg == 0:
         return f"{pan}: images of {camera.hfov_deg:.3g}° do not reach the ends of the azimuths asked for from there"
-    widest = rules.widest_deg(0.0)
+    widest = float(rules.widest(np.zeros(1))[0])
     return (
         f"{pan}, so neighbours must bridge {layout.blind_deg:.4g}°, but with an overlap of "
         f"{constraints.overlap_h:.0%} images at the horizon may be at most {widest:.4g}° apart "
@@ -177,14 +181,15 @@ def _size(camera: Camera) -> str:
 
 
 def _feasible(camera: Camera, constraints: Constraints) -> bool:
-    search = RowSearch(_rules(camera, constraints))
-    return next(search.waves(), None) is not None
+    return bool(RowSearch(_rules(camera, constraints), width=_WIDTH).ways())
 
 
 def _rules(camera: Camera, constraints: Constraints) -> RowRules:
     every = constraints.guarantee == "all"
     neighbours = NeighbourDemand(
-        planned=constraints.overlap_h, worst=constraints.overlap_h if every else 0.0, tolerance=constraints.tolerance
+        planned=constraints.overlap_h,
+        worst=max(constraints.overlap_h if every else 0.0, MUTUAL_OVERLAP),
+        tolerance=constraints.tolerance,
     )
     demands = Demands(
         neighbours=neighbours, planned_v=constraints.overlap_v, worst_v=constraints.overlap_v if every else 0.0

@@ -12,6 +12,7 @@ from panoexec.angles import FloatArray
 from panoexec.optics import Camera
 from panoexec.planning.model import NO_TOLERANCE, Tolerance
 from panoexec.planning.roots import last_nonnegative
+from panoexec.planning.row_cover import CoreEdges
 from panoexec.planning.row_overlap import neighbour_overlap
 
 HAIR = 1e-7
@@ -35,15 +36,21 @@ class NeighbourDemand:
         worst: neighbours, whatever the errors; 0 for nothing.
         second: images two apart, whatever the errors; 0 for nothing.
         tolerance: the errors.
+        seam: how much of the meridian between neighbours both see whatever the errors, in vertical fields of view.
     """
 
     planned: float
     worst: float
     tolerance: Tolerance
     second: float = 0.0
+    seam: float = 0.0
 
     def surplus(self, camera: Camera, pitch_deg: FloatArray, spacing_deg: FloatArray) -> FloatArray:
-        """How much more images of pitch (k,) share than they have to, when (k,) apart."""
+        """How much more images of pitch (k,) share than they have to, when (k,) apart.
+
+        Or, if that is less, how much more of the meridian between them both see whatever the errors than they have to,
+        in vertical fields of view: a row that does not close helps nobody.
+        """
         surplus = neighbour_overlap(camera, pitch_deg, spacing_deg, NO_TOLERANCE) - self.planned
         if self.worst > 0:
             surplus = np.minimum(
@@ -52,6 +59,9 @@ class NeighbourDemand:
         if self.second > 0:
             twice = np.minimum(2 * spacing_deg, 180.0)
             surplus = np.minimum(surplus, neighbour_overlap(camera, pitch_deg, twice, self.tolerance) - self.second)
+        if not self.tolerance.is_zero:
+            low, high = CoreEdges(camera, self.tolerance).intervals(pitch_deg, spacing_deg[:, None] / 2)
+            surplus = np.minimum(surplus, (high - low)[:, 0] / camera.vfov_deg - self.seam)
         return surplus - HAIR
 
 
@@ -63,6 +73,10 @@ class NeighbourSpacing:
         self._demand = demand
         costly = max(demand.worst, demand.second) > 0 and not demand.tolerance.is_zero
         self._precision = 1e-4 if costly else 1e-7
+
+    def surplus(self, pitch_deg: FloatArray, spacing_deg: FloatArray) -> FloatArray:
+        """See `NeighbourDemand.surplus`."""
+        return self._demand.surplus(self._camera, pitch_deg, spacing_deg)
 
     def widest(self, pitch_deg: FloatArray) -> FloatArray:
         """The widest spacing allowed at pitches (...), degrees, a hair on the safe side; 0 where none is."""

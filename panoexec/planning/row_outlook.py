@@ -26,12 +26,12 @@ _GENEROUS = 5e-4
 """What measured steps are lengthened by, in vertical fields of view."""
 
 _POLAR_GENEROUS = 1.01
+_POLAR_SHARE = 0.3
 _MORE_IMAGES = 4
 _MANY = 40
 """In rows of so many images one more or less hardly changes how high the next row can stand."""
 
 _LOW_DEG = 8.0
-_WANTED_MANY = 6e-4
 _TALL_DEG = 60.0
 """With a larger vertical field of view steps are not measured: there are only a few rows."""
 
@@ -42,26 +42,30 @@ NEVER = 10**7
 class Outlook:
     """Fewest images above a row.
 
-    Attributes:
-        longest_step: the longest step from a row to the next, in vertical fields of view.
+    Args:
+        rules: what rows have to satisfy.
         wanted: margin of pairs of rows that steps are measured with.
     """
 
-    def __init__(self, rules: RowRules) -> None:
+    def __init__(self, rules: RowRules, wanted: float = 0.0) -> None:
         self._rules = rules
-        self._smooth: tuple[FloatArray, FloatArray] | None = None
+        self._wanted = wanted
         height = rules.camera.vfov_deg
         low, high = rules.pitch_deg
         grid = _GRID if height > _LOW_DEG else _GRID_MANY
         count = max(2, math.ceil((high - low) / height * grid) + 1)
         self._grid = np.linspace(low, high, count)
         self._step = float(self._grid[1] - self._grid[0]) or 1.0
-        self._many = int(rules.fewest(np.zeros(1))[0]) >= _MANY
-        self.wanted = _WANTED_MANY if self._many else 0.0
         steps_deg = self._steps_deg(self._grid)
-        self.longest_step = float(steps_deg.max()) / height
+        self._longest = steps_deg
+        density = rules.layout.span_deg / np.clip(rules.widest(self._grid), 1e-3, rules.layout.span_deg) / steps_deg
+        self._about = np.cumsum((density * self._step)[::-1])[::-1]
         self._closing = self._closing_counts()
         self._after = self._solve(steps_deg)
+
+    def longest_step_deg(self, pitch_deg: float) -> float:
+        """The longest step from a row to the next."""
+        return float(self._longest[self._index(pitch_deg)])
 
     def least_after(self, pitch_deg: float) -> int:
         """Fewest images above a row that does not reach the band's upper end itself."""
@@ -76,13 +80,13 @@ class Outlook:
         i = math.ceil((pitch_deg - float(self._grid[0])) / self._step - 1e-6)
         return min(max(i, 0), len(self._grid) - 1)
 
-    def smooth_step_deg(self, pitch_deg: FloatArray, low_count: IntArray, high_count: IntArray) -> FloatArray:
-        """Steps (k,) up from rows of so many images that their numbers and phases hardly matter; NaN for others."""
-        if self._smooth is None:
-            return np.full(len(pitch_deg), np.nan)
-        nodes, steps = self._smooth
-        smooth = (np.minimum(low_count, high_count) >= _MANY) & (pitch_deg >= nodes[0]) & (pitch_deg <= nodes[-1])
-        return np.where(smooth, np.interp(pitch_deg, nodes, steps), np.nan)
+    def usual_step_deg(self, pitch_deg: FloatArray) -> FloatArray:
+        """About how high the next row stands above rows at pitches (k,)."""
+        return np.asarray(np.interp(pitch_deg, self._grid, self._longest) - _GENEROUS * self._rules.camera.vfov_deg)
+
+    def about_after(self, pitch_deg: float) -> float:
+        """About how many images above a row, not in whole ones: to tell apart labels that promise the same."""
+        return float(np.interp(pitch_deg, self._grid, self._about))
 
     def _steps_deg(self, pitch_deg: FloatArray) -> FloatArray:
         """Longest steps from rows at pitches (k,)."""
@@ -90,8 +94,11 @@ class Outlook:
         height, half = camera.vfov_deg, camera.half_height
         # an endless strip of images along a great circle, of which C3 asks `overlap_v`
         strip = height / 2 + math.degrees(math.atan(half * (1 - 2 * rules.overlap_v)))
-        limit = np.full(len(pitch_deg), min(strip * _POLAR_GENEROUS, height))
-        nodes = np.linspace(-_STEEPEST_DEG, _STEEPEST_DEG - strip, 4 * _NODES if self._many else _NODES)
+        # about a pole an image sees all azimuths, and a row more than a strip
+        steep = np.minimum(np.abs(pitch_deg) + height / 2, 90.0)
+        polar = np.cos(np.radians(steep)) < camera.half_width * _POLAR_SHARE
+        limit = np.where(polar, height, min(strip * _POLAR_GENEROUS, height))
+        nodes = np.linspace(-_STEEPEST_DEG, _STEEPEST_DEG - strip, 4 * _NODES if rules.many else _NODES)
         nodes = nodes[(nodes > rules.pitch_deg[0]) & (nodes + strip < rules.pitch_deg[1])]
         if not len(nodes) or not rules.layout.closed or height > _TALL_DEG:
             return limit
@@ -99,8 +106,6 @@ class Outlook:
         nodes, found = nodes[~np.isnan(found)], found[~np.isnan(found)]
         if not len(nodes):
             return limit
-        if self._many:
-            self._smooth = nodes, found - nodes
         measured = np.interp(pitch_deg, nodes, found - nodes + _GENEROUS * height)
         inner = (pitch_deg >= nodes[0]) & (pitch_deg <= nodes[-1])
         return np.where(inner, np.minimum(measured, limit), limit)
@@ -112,7 +117,7 @@ class Outlook:
         high = np.where((low >= _MANY) & (np.gcd(low, high) > 1), high + 1, high)
         pairs = rules.pairs(nodes, low, high)
         stop = nodes + min(height, strip_deg * _POLAR_GENEROUS)
-        wanted = np.full(len(nodes), self.wanted)
+        wanted = np.full(len(nodes), self._wanted)
         return highest_pitch(rules.margin, pairs, nodes + 0.3 * height, stop, wanted=wanted, height_deg=height)
 
     def _closing_counts(self) -> FloatArray:

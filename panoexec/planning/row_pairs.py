@@ -44,7 +44,10 @@ Seeing = Callable[[Camera, FloatArray, FloatArray, FloatArray], FloatArray]
 _OpenRows = tuple[FloatArray, FloatArray, IntArray]
 """Pitch, spacing and count of rows, each (k,)."""
 
-_AROUND = 180
+_AROUND = 60
+_MOST_DISTINCT = 400
+"""With more distinct positions than this some seams of two rows all but meet."""
+
 _NOT_CLOSED = -1.0
 _SURE = 0.05
 
@@ -146,7 +149,10 @@ class PairMargin:
         worst = (top.min(axis=1) - bottom.max(axis=1)) / height
         closed = _any_phase(worst)
         best = (top.min(axis=1) - bottom.min(axis=1)) / height
-        unsure = np.nonzero(self._layout.is_even & (worst < _SURE) & (best > worst + 1e-4))[0]
+        distinct = np.lcm(pairs.low_count, pairs.high_count) // np.gcd(pairs.low_count, pairs.high_count)
+        unsure = np.nonzero(
+            self._layout.is_even & (worst < _SURE) & (best > worst + 1e-4) & (distinct <= _MOST_DISTINCT)
+        )[0]
         if len(unsure):
             closed[unsure] = self._meet(pairs, unsure, top[unsure], bottom[unsure]) / height
         return np.maximum(closed, _NOT_CLOSED)
@@ -211,11 +217,15 @@ class PairMargin:
         common = np.gcd(low, high)
         period = 360.0 / common
         recurs = period / ((low // common) * (high // common))
-        around = np.linspace(0.0, 1.0, _AROUND, endpoint=False) * period[:, None]
+        even = np.linspace(0.0, 1.0, _AROUND, endpoint=False) * period[:, None]
+        # what a row covers has its notches at the seams, and a narrow gap may lie in one
+        low_seams, high_seams = _seams(low // common, 360.0 / low), _seams(high // common, 360.0 / high)
         out = np.empty((len(which), len(PHASES)))
         for i, phase in enumerate(PHASES):
+            turn = phase * recurs[:, None]
+            around = np.concatenate([even, low_seams, high_seams + turn], axis=1)
             in_low = _cell(around / (360.0 / low)[:, None])
-            in_high = _cell((around - phase * recurs[:, None]) / (360.0 / high)[:, None])
+            in_high = _cell((around - turn) / (360.0 / high)[:, None])
             gap = _interpolate(top, in_low) - _interpolate(bottom, in_high)
             out[:, i] = gap.min(axis=1)
         return out
@@ -245,6 +255,12 @@ class PairMargin:
             grain.columns,
         ).reshape(shape)
         return np.asarray(np.where(probes < (count[:, None] + 1) // 2, shared, np.inf).min(axis=1))
+
+
+def _seams(count: IntArray, spacing_deg: FloatArray) -> FloatArray:
+    """Azimuths (k, most) of the first (k,) seams between images of rows, repeated to fill up."""
+    steps = np.arange(int(count.max())) % count[:, None]
+    return np.asarray((steps + 0.5) * spacing_deg[:, None])
 
 
 def _any_phase(values: FloatArray) -> FloatArray:

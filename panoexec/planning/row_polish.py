@@ -1,7 +1,8 @@
 """From a way through the search to rows: the same counts, with all slack shared out evenly, and turned to fit.
 
 The search stands every row as high as it can. Here the counts are kept and the greatest margin μ is sought with which
-the rows still reach the top of the band: then every pair of rows has that margin to spare.
+the rows still reach the top of the band: then every pair of rows has that margin to spare, and the lowest and the
+highest row reach over the ends of the band by as much, so that a single row stands in the middle of its band.
 """
 
 from __future__ import annotations
@@ -18,11 +19,13 @@ from panoexec.planning.row_rules import RowRules
 from panoexec.planning.row_search import FEW
 from panoexec.planning.row_steps import highest_pitch
 
-_LADDER = (0.0, 1e-3, 4e-3, 0.015, 0.05)
-_RUNGS = 5
-_MOST_ROWS = 40
-"""With more rows than this the slack is shared out only roughly."""
+_RUNGS = (0.3, 0.6, 0.8, 0.9, 1.0)
+"""Parts of the margin that the slack seems good for."""
 
+_MOST_MARGIN = 0.4
+_LOWEST_NODES = 33
+_FLATTEST_END_DEG = 89.9
+"""Beyond this the end of a band is a pole: there is nothing to reach over."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rows:
@@ -58,55 +61,87 @@ def polish(rules: RowRules, path: Sequence[tuple[float, int]], least_margin: flo
     Returns:
         The rows; None if they do not reach the top of the band with `least_margin`.
     """
-    ladder = np.array(_LADDER) + least_margin
-    pitches = _climb(rules, path, ladder)
-    reaches = _reaches(rules, path[-1][1], pitches[-1])
-    if not reaches[0]:
+    extra = np.array([0.0, *(part * _promising(rules, path) for part in _RUNGS)])
+    pitches = _climb(rules, path, least_margin + extra, extra)
+    good = np.nonzero(_reaches(rules, path[-1][1], pitches[-1], extra))[0]
+    if not len(good) or good[0] != 0:
         return None
-    last = int(np.nonzero(reaches)[0][-1])
-    if last + 1 < len(ladder) and len(path) <= _MOST_ROWS:
-        ladder = np.linspace(ladder[last], ladder[last + 1], _RUNGS + 1)[:-1]
-        pitches = _climb(rules, path, ladder)
-        reaches = _reaches(rules, path[-1][1], pitches[-1])
-        last = int(np.nonzero(reaches)[0][-1]) if reaches.any() else 0
-    chosen = pitches[:, last]
-    if np.isnan(chosen).any():
-        return None
+    last = int(good[-1])
     counts = tuple(count for _, count in path)
     return Rows(
-        pitch_deg=tuple(chosen.tolist()),
+        pitch_deg=tuple(pitches[:, last].tolist()),
         count=counts,
-        phase_deg=_phases(rules, chosen, counts),
-        margin=float(ladder[last]),
+        phase_deg=_phases(rules, pitches[:, last], counts),
+        margin=float(least_margin + extra[last]),
     )
 
 
-def _climb(rules: RowRules, path: Sequence[tuple[float, int]], margins: FloatArray) -> FloatArray:
-    """Pitches (rows, margins) of rows as high as they can be with each margin; NaN where they cannot be."""
+def _promising(rules: RowRules, path: Sequence[tuple[float, int]]) -> float:
+    """The margin that the slack at the top is good for, if rows may be moved freely."""
+    pitch, count = path[-1]
+    _, high = rules.band(np.array([pitch]), np.array([count]))
     height = rules.camera.vfov_deg
-    out = np.full((len(path), len(margins)), path[0][0])
+    bottom, top = _free_ends(rules)
+    places = len(path) - 1 + bottom + top
+    slack = max(float(high[0]) - rules.band_deg[1], 0.0)
+    if not top:
+        # about a pole an image reaches far over: what counts is how low the last row may stand
+        floor, _ = rules.zone_of(pitch, count)
+        lower = np.linspace(max(floor, pitch - height), pitch, _LOWEST_NODES)
+        _, highs = rules.band(lower, np.full(len(lower), count))
+        slack = pitch - float(lower[highs >= rules.band_deg[1]].min(initial=pitch))
+    return min(slack / (max(places, 1) * height), _MOST_MARGIN)
+
+
+def _free_ends(rules: RowRules) -> tuple[bool, bool]:
+    """Whether rows can reach over the lower and the upper end of the band."""
+    low, high = rules.band_deg
+    return low > -_FLATTEST_END_DEG, high < _FLATTEST_END_DEG
+
+
+def _climb(
+    rules: RowRules, path: Sequence[tuple[float, int]], margins: FloatArray, extra: FloatArray
+) -> FloatArray:
+    """Pitches (rows, margins) of rows as high as they can be with each margin, and no higher than given; else NaN.
+
+    Args:
+        rules: what they have to satisfy.
+        path: as for `polish`.
+        margins: of pairs of rows.
+        extra: how far the first row reaches over the lower end of the band, in vertical fields of view.
+    """
+    height = rules.camera.vfov_deg
+    floor, _ = rules.zone_of(*path[0])
+    over = height * extra if _free_ends(rules)[0] else np.zeros(len(margins))
+    out = np.full((len(path), len(margins)), np.nan)
+    out[0] = np.maximum(path[0][0] - over, floor)
     for i in range(1, len(path)):
-        pitch, count = path[i]
-        floor, ceiling = rules.zone_of(pitch, count)
-        ceiling = pitch if count <= FEW else ceiling
+        (before_deg, before), (pitch, count) = path[i - 1], path[i]
+        floor, _ = rules.zone_of(pitch, count)
         low = np.maximum(out[i - 1] + 0.05 * height, floor)
-        high = np.minimum(np.full(len(margins), ceiling), out[i - 1] + height)
+        high = np.minimum(np.full(len(margins), pitch), out[i - 1] + height)
         possible = np.nonzero(low <= high + 1e-9)[0]  # not for NaN
-        out[i] = np.nan
         if len(possible):
-            low, high = np.minimum(low, high)[possible], high[possible]
-            before = np.full(len(possible), path[i - 1][1])
-            pairs = rules.pairs(out[i - 1][possible], before, np.full(len(possible), count))
+            low, high, lower = np.minimum(low, high)[possible], high[possible], out[i - 1][possible]
+            guess = lower + (pitch - before_deg) - margins[possible] * height
             out[i, possible] = highest_pitch(
-                rules.margin, pairs, low, high, wanted=margins[possible], height_deg=height
+                rules.margin,
+                rules.pairs(lower, np.full(len(possible), before), np.full(len(possible), count)),
+                low,
+                high,
+                wanted=margins[possible],
+                height_deg=height,
+                guess=np.where(min(before, count) > FEW, guess, np.nan),
             )
     return out
 
 
-def _reaches(rules: RowRules, count: int, pitch_deg: FloatArray) -> NDArray[np.bool_]:
+def _reaches(rules: RowRules, count: int, pitch_deg: FloatArray, extra: FloatArray) -> NDArray[np.bool_]:
+    """Whether rows at the top cover up to the band's end, and beyond by so many vertical fields of view."""
     some = ~np.isnan(pitch_deg)
     _, high = rules.band(np.where(some, pitch_deg, 0.0), np.full(len(pitch_deg), count))
-    return np.asarray(some & (high >= rules.band_deg[1]))
+    over = extra * rules.camera.vfov_deg * _free_ends(rules)[1]
+    return np.asarray(some & (high >= rules.band_deg[1] + over))
 
 
 def _phases(rules: RowRules, pitch_deg: FloatArray, counts: tuple[int, ...]) -> tuple[float, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -24,6 +24,14 @@ Loss = Callable[[FloatArray], FloatArray]
 
 _CANDIDATES = 81
 _NARROWING = 24
+_TURNED = 60
+_MOST_TURNED = 60
+"""Up to so many images are checked for being turned too far against each other about a pole."""
+
+_STEEP_DEG = 45.0
+_MANY = 40
+_ZONE_NODES = 46
+_TURN_NODES = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,6 +68,7 @@ class RowRules:
     def __init__(self, camera: Camera, constraints: Constraints, demands: Demands, loss: Loss | None = None) -> None:
         self.camera = camera
         self.demands = demands
+        self._constraints = constraints
         self.pitch_deg = reachable_pitch(constraints.gimbal)
         self.band_deg = constraints.band.elevation_min_deg, constraints.band.elevation_max_deg
         self._spacing = NeighbourSpacing(camera, demands.neighbours)
@@ -73,6 +82,11 @@ class RowRules:
     def overlap_v(self) -> float:
         """What C3 asks for at the least."""
         return max(self.demands.planned_v, self.demands.worst_v)
+
+    @cached_property
+    def many(self) -> bool:
+        """Whether one image more or less in a row hardly changes how high the next row can stand."""
+        return int(self.fewest(np.zeros(1))[0]) >= _MANY
 
     def pairs(self, low_deg: FloatArray, low_count: IntArray, high_count: IntArray) -> Pairs:
         """Pairs of rows with what C3 demands of them; the pitch of the higher rows is left open."""
@@ -91,6 +105,11 @@ class RowRules:
             return planned
         loss = np.zeros(len(pitch_deg)) if self._loss is None else self._loss(pitch_deg)
         return np.asarray(np.maximum(planned, self.demands.worst_v + loss))
+
+    def with_seam(self, seam: float) -> RowRules:
+        """The same with another demand on what neighbours both see of the meridian between them."""
+        demands = replace(self.demands, neighbours=replace(self.demands.neighbours, seam=seam))
+        return RowRules(self.camera, self._constraints, demands, self._loss)
 
     def band(self, pitch_deg: FloatArray, count: IntArray) -> tuple[FloatArray, FloatArray]:
         """Elevations that rows cover all round, whatever the errors: lowest and highest, each (k,)."""
@@ -113,9 +132,30 @@ class RowRules:
         if not self.layout.closed:
             return [(-90.0, 90.0)]
         limit = float(self._least_steep[min(count, len(self._least_steep) - 1)])
-        if limit <= 0:
+        turned = self._turns_too_far and 1 < count <= _TURNED
+        steep = self._steep_zones(count, limit) if turned else [(limit, 90.0)]
+        if steep == [(0.0, 90.0)]:
             return [(-90.0, 90.0)]
-        return [(limit, 90.0), (-90.0, -limit)]
+        return [*reversed(steep), *((-high, -low) for low, high in steep)]
+
+    def _steep_zones(self, count: int, limit_deg: float) -> list[Zone]:
+        """Ranges of |pitch| from a limit on in which C2 allows a count of a few images.
+
+        About a pole they are turned against each other by so much that long images may share less than further out.
+        """
+        spacing = float(self.layout.closing_spacing_deg(np.array([count]))[0])
+        steep = np.union1d(np.linspace(limit_deg, 90.0, _ZONE_NODES), limit_deg)
+        good = self._spacing.surplus(steep, np.full(len(steep), spacing)) >= 0
+        good[0] = good[0] or limit_deg < 90.0
+        zones: list[Zone] = []
+        start: float | None = None
+        for s, fine in zip(steep.tolist(), good.tolist(), strict=True):
+            if fine:
+                start = s if start is None else start
+                zones = [*zones[:-1], (start, s)] if zones and zones[-1][0] == start else [*zones, (start, s)]
+            else:
+                start = None
+        return zones
 
     def zone_of(self, pitch_deg: float, count: int) -> Zone:
         """The range of pitches in which C2 allows a count that holds the given pitch, within the gimbal's."""
@@ -130,10 +170,14 @@ class RowRules:
         if not self.layout.closed:
             widest = np.maximum(self._spacing.widest(pitch_deg), 1e-3)
             return np.maximum(least, np.ceil(self.layout.span_deg / widest - 0.5).astype(np.intp))
+        most = len(self._least_steep) - 1
+        if self._most_turned > most:
+            nodes, fewest = self._fewest_turned
+            index = np.minimum(np.searchsorted(nodes, np.abs(pitch_deg)), len(nodes) - 1)
+            return np.asarray(np.where(np.abs(pitch_deg) >= 90.0, least, np.maximum(fewest[index], least)))
         # the least steepness falls as the count grows: the first count whose one is not above the steepness
         ascending = self._least_steep[::-1]
         position = np.searchsorted(ascending, np.abs(pitch_deg), side="right")
-        most = len(ascending) - 1
         return np.asarray(np.clip(np.where(np.abs(pitch_deg) >= 90.0, 1, most + 1 - position), least, most))
 
     def counts_between(self, start_deg: float, stop_deg: float) -> tuple[int, int]:
@@ -142,7 +186,44 @@ class RowRules:
         if start_deg < 0 < stop_deg:
             pitches = np.append(pitches, 0.0)
         counts = self.fewest(pitches)
-        return int(counts.min()), int(counts.max())
+        most = int(counts.max())
+        if self.layout.closed and max(-start_deg, stop_deg) > _STEEP_DEG:
+            most = max(most, self._most_turned)
+        return int(counts.min()), most
+
+    @cached_property
+    def _fewest_turned(self) -> tuple[FloatArray, IntArray]:
+        """Fewest images that C2 allows by |pitch|, where more are needed towards a pole than further out."""
+        nodes = np.linspace(0.0, 90.0, 361)
+        fewest = np.full(len(nodes), self._most_turned, dtype=np.intp)
+        for count in range(self._most_turned, 1, -1):
+            for low, high in self.zones(count):
+                fewest[(nodes >= low) & (nodes <= high)] = count
+        return nodes, fewest
+
+    @cached_property
+    def _turns_too_far(self) -> bool:
+        """Whether C2 forbids some count towards a pole that it allows further out."""
+        counts = np.arange(2, min(len(self._least_steep), _TURNED + 1))
+        spacing = self.layout.closing_spacing_deg(counts)
+        limit = self._least_steep[counts]
+        share = np.linspace(0.05, 1.0, _TURN_NODES)[:, None]
+        steep = limit + share * (90.0 - limit)
+        surplus = self._spacing.surplus(steep.ravel(), np.broadcast_to(spacing, steep.shape).ravel())
+        return bool(np.any((surplus.reshape(steep.shape) < 0) & (limit < 90.0)))
+
+    @cached_property
+    def _most_turned(self) -> int:
+        """Fewest images that C2 allows at any pitch at all; more than at the horizon for long images."""
+        if not self._turns_too_far:
+            return len(self._least_steep) - 1
+        steep = np.linspace(0.0, 89.9, _ZONE_NODES)
+        most = len(self._least_steep) - 1
+        for count in range(most, min(4 * most + 40, _MOST_TURNED)):
+            spacing = float(self.layout.closing_spacing_deg(np.array([count]))[0])
+            if self._spacing.surplus(steep[1:], np.full(len(steep) - 1, spacing)).min() >= 0:
+                return count
+        return most
 
     @cached_property
     def _least_steep(self) -> FloatArray:
@@ -160,9 +241,9 @@ class RowRules:
         """The least |pitch| at which neighbours can bridge what the gimbal cannot pan to."""
         return float(self._spacing.least_steep_deg(np.array([self.layout.blind_deg]))[0])
 
-    def widest_deg(self, pitch_deg: float) -> float:
-        """The widest spacing of neighbours at a pitch."""
-        return float(self._spacing.widest(np.array([pitch_deg]))[0])
+    def widest(self, pitch_deg: FloatArray) -> FloatArray:
+        """The widest spacing of neighbours at pitches (k,), degrees."""
+        return self._spacing.widest(pitch_deg)
 
     def first_rows(self, more_images: int) -> tuple[FloatArray, IntArray]:
         """Rows that cover from the band's lower end: for each count the highest pitch, (k,) each."""

@@ -1,4 +1,4 @@
-"""The search for rows: a shortest path from the lowest row to the highest, by number of images (A*).
+"""The search for rows: the shortest path from the lowest row to the highest by number of images, in a beam.
 
 A *label* is a way to cover the band from its lower end up to a row: that row's pitch and count, the images so far and
 the label it came from. From a label the search steps to every count of images that could make the next row, with that
@@ -7,15 +7,15 @@ nothing: whatever can follow a row can follow the same row a little higher, but 
 more images (there rows of either count are tried) and for rows of a few images, which may cover a wider band when they
 stand lower (there a few lower pitches are tried).
 
-What is still to come is estimated by `panoexec.planning.row_outlook`: a relaxation that knows C2's counts and how long
-steps are at the best, and not whether rows fit. `waves` takes one total after the other, from the least that the
-relaxation allows, and works only on labels that may lead to it; it ends with the first total that the caller accepts.
+Labels advance together, a row at a time. Of those with equally many rows only the most promising go on: a label
+promises its images and what `panoexec.planning.row_outlook` says must still come, a relaxation that knows C2's counts
+and how long steps are at the best, and not whether rows fit. A label that another one makes superfluous is dropped.
+So each row costs the same, and a plan of n images, which has about √n rows, costs about √n steps; all steps of a row
+are looked at in one go.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,13 +36,14 @@ FEW = 6
 _LOWER = (0.08, 0.16, 0.24, 0.32)
 """Rows of few images are also tried so many vertical fields of view lower."""
 
-_AT_ONCE = 0.004
-"""Totals are taken so many at once, as a share of the total."""
+WIDTH, _WIDTH_MANY = 24, 8
+"""So many labels of equally many rows go on; and in plans of very many rows, which are all alike."""
 
-_HUGE = 500
-"""In plans of so many images, rows that are not few-image rows are all alike: only how high they stand matters."""
+_SLACK = 3
+_SLACK_FRAC = 0.002
+"""Labels that promise so many images more than the best of their rows are given up."""
 
-_MOST_LABELS = 20_000
+_MOST_ROWS = 20_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,79 +94,81 @@ class RowSearch:
 
     Args:
         rules: what rows have to satisfy.
-
-    Attributes:
-        wanted: margin that pairs of rows have to have: in plans with very many rows a little, as those are not looked
-            at one by one.
+        wanted: margin that pairs of rows have to have, see `PairMargin`.
+        width: so many labels of equally many rows go on.
     """
 
-    def __init__(self, rules: RowRules) -> None:
+    def __init__(self, rules: RowRules, *, wanted: float = 0.0, width: int = WIDTH) -> None:
         self._rules = rules
-        self._outlook = Outlook(rules)
-        self.wanted = self._outlook.wanted
-        self._steps: list[_Step] = []
-        self._labels: list[tuple[int, Label]] = []
-        self._known = _Front(rules.camera.vfov_deg)
-        self._begin()
-        self._known.coarse = (self.least_images or 0) > _HUGE
+        self._width = min(width, _WIDTH_MANY) if rules.many else width
+        self._wanted = wanted
+        self._outlook = Outlook(rules, wanted)
+        pitch, count = rules.first_rows(_MORE_IMAGES)
+        self._first = self._labels(pitch, count, [None] * len(count), np.full(len(count), rules.pitch_deg[0]))
 
     @property
     def least_images(self) -> int | None:
         """Fewest images that the relaxation allows; None if it allows no way."""
-        promises = [promise for promise, _ in self._labels if promise < NEVER]
+        promises = [promise for promise in map(self._promise, self._first) if promise < NEVER]
         return min(promises) if promises else None
 
-    def waves(self) -> Iterator[tuple[int, list[Label]]]:
-        """Totals in ascending order, each with the complete labels that have it, those with the most to spare first."""
-        while self._labels or self._steps:
-            total = min([promise for promise, _ in self._labels] + [step.promise for step in self._steps])
-            if total >= NEVER:
-                return
-            total += int(_AT_ONCE * total)
-            complete: list[Label] = []
-            while True:
-                ready = [label for promise, label in self._labels if promise <= total]
-                self._labels = [(promise, label) for promise, label in self._labels if promise > total]
-                complete += [label for label in ready if label.reaches]
-                for label in ready:
-                    if not label.reaches and self._known.admit(label):
-                        self._steps += self._steps_from(label)
-                steps = [step for step in self._steps if step.promise <= total]
-                self._steps = [step for step in self._steps if step.promise > total]
-                if not steps:
-                    break
-                self._take(steps)
-            if len(self._known) > _MOST_LABELS:
-                return
-            complete.sort(key=lambda label: (label.images, label.rows, -label.highest_deg))
-            for images, group in itertools.groupby(complete, key=lambda label: label.images):
-                yield images, list(group)
+    def ways(self) -> list[Label]:
+        """Complete labels: the fewest images first, then the fewest rows, then those that reach highest."""
+        front = _Front(self._rules.camera.vfov_deg)
+        complete: list[Label] = []
+        level, best = self._first, NEVER
+        for _ in range(_MOST_ROWS):
+            reaching = [label for label in level if label.reaches]
+            complete += reaching
+            best = min([best, *(label.images for label in reaching)])
+            going = self._going_on([label for label in level if not label.reaches], best, front)
+            if not going:
+                break
+            level = self._next_rows(going, best)
+        return sorted(complete, key=lambda label: (label.images, label.rows, -label.highest_deg))
 
     def highest_reach_deg(self) -> float:
         """Upper end of what rows could cover at all, -90 if there is no first row: for error messages."""
-        level = [label for _, label in self._labels]
+        level = self._first
         highest = max((label.highest_deg for label in level), default=-90.0)
-        while level:
-            self._labels = []
+        while level and not any(label.reaches for label in level):
             level = sorted(level, key=lambda label: -label.pitch_deg)[:4]
-            self._take([step for label in level for step in self._steps_from(label)])
-            level = [label for _, label in self._labels]
+            level = self._take([step for label in level for step in self._steps_from(label)])
             highest = max([highest, *(label.highest_deg for label in level)])
-            if any(label.reaches for label in level):
-                break
         return highest
 
-    def _begin(self) -> None:
-        """First rows: for each count as high as it can be and still cover from the band's lower end."""
-        rules = self._rules
-        pitch, count = rules.first_rows(_MORE_IMAGES)
-        self._add(pitch, count, [None] * len(count), np.full(len(count), rules.pitch_deg[0]))
+    def _promise(self, label: Label) -> int:
+        return label.images if label.reaches else label.images + self._outlook.least_after(label.pitch_deg)
+
+    def _going_on(self, labels: list[Label], best: int, front: _Front) -> list[Label]:
+        """The most promising labels of one number of rows."""
+        promises = [self._promise(label) for label in labels]
+        worst = min([best, *promises])
+        worst = min(worst + _SLACK + int(_SLACK_FRAC * worst), NEVER - 1)
+        ranked = sorted(
+            (promise, label.images + self._outlook.about_after(label.pitch_deg), i)
+            for i, (promise, label) in enumerate(zip(promises, labels, strict=True))
+            if promise <= worst
+        )
+        out: list[Label] = []
+        for _, _, i in ranked:
+            if front.admit(labels[i]):
+                out.append(labels[i])
+                if len(out) == self._width:
+                    break
+        return out
+
+    def _next_rows(self, labels: list[Label], best: int) -> list[Label]:
+        steps = [step for label in labels for step in self._steps_from(label)]
+        least = min([best, *(step.promise for step in steps)])
+        worst = min(least + _SLACK + int(_SLACK_FRAC * least), NEVER - 1)
+        return self._take([step for step in steps if step.promise <= worst])
 
     def _steps_from(self, label: Label) -> list[_Step]:
         """All rows that may follow a label."""
         rules, height = self._rules, self._rules.camera.vfov_deg
         start = label.pitch_deg + _SMALLEST_STEP * height
-        stop = min(label.pitch_deg + height * self._outlook.longest_step, rules.pitch_deg[1])
+        stop = min(label.pitch_deg + self._outlook.longest_step_deg(label.pitch_deg), rules.pitch_deg[1])
         if stop <= start:
             start = (label.pitch_deg + stop) / 2
         if stop - label.pitch_deg < 1e-6:
@@ -180,25 +183,32 @@ class RowSearch:
                     out.append(_Step(label=label, count=count, start_deg=a, stop_deg=b, promise=promise))
         return out
 
-    def _take(self, steps: list[_Step]) -> None:
+    def _take(self, steps: list[_Step]) -> list[Label]:
+        if not steps:
+            return []
         rules = self._rules
         low_deg = np.array([step.label.pitch_deg for step in steps])
         low_count = np.array([step.label.count for step in steps])
         count = np.array([step.count for step in steps])
         start = np.array([step.start_deg for step in steps])
-        stop = np.array([step.stop_deg for step in steps])
-        pitch = np.minimum(low_deg + self._outlook.smooth_step_deg(low_deg, low_count, count), stop)
-        exact = np.nonzero(np.isnan(pitch))[0]
-        pitch[pitch < start] = np.nan
-        pairs = rules.pairs(low_deg[exact], low_count[exact], count[exact])
-        wanted = np.full(len(exact), self.wanted)
-        height = rules.camera.vfov_deg
-        pitch[exact] = highest_pitch(rules.margin, pairs, start[exact], stop[exact], wanted=wanted, height_deg=height)
+        pitch = highest_pitch(
+            rules.margin,
+            rules.pairs(low_deg, low_count, count),
+            start,
+            np.array([step.stop_deg for step in steps]),
+            wanted=np.full(len(steps), self._wanted),
+            height_deg=rules.camera.vfov_deg,
+            guess=np.where(
+                np.minimum(low_count, count) > FEW, low_deg + self._outlook.usual_step_deg(low_deg), np.nan
+            ),
+        )
         good = ~np.isnan(pitch)
         before: list[Label | None] = [step.label for step, g in zip(steps, good.tolist(), strict=True) if g]
-        self._add(pitch[good], count[good], before, start[good])
+        return self._labels(pitch[good], count[good], before, start[good])
 
-    def _add(self, pitch_deg: FloatArray, count: IntArray, before: list[Label | None], lowest: FloatArray) -> None:
+    def _labels(
+        self, pitch_deg: FloatArray, count: IntArray, before: list[Label | None], lowest: FloatArray
+    ) -> list[Label]:
         """New labels of rows, and of few-image rows also somewhat lower."""
         pitches, counts, origins = [pitch_deg], [count], list(before)
         for share in _LOWER:
@@ -210,12 +220,12 @@ class RowSearch:
         pitch, number = np.concatenate(pitches), np.concatenate(counts)
         _, high = self._rules.band(pitch, number)
         top = self._rules.band_deg[1]
+        out: list[Label] = []
         for p, c, h, b in zip(pitch.tolist(), number.tolist(), high.tolist(), origins, strict=True):
             images, rows = c + (b.images if b else 0), 1 + (b.rows if b else 0)
             reaches = h >= top and rows >= self._rules.demands.least_rows
-            label = Label(pitch_deg=p, count=c, images=images, rows=rows, highest_deg=h, reaches=reaches, before=b)
-            promise = images if reaches else images + self._outlook.least_after(p)
-            self._labels.append((promise, label))
+            out.append(Label(pitch_deg=p, count=c, images=images, rows=rows, highest_deg=h, reaches=reaches, before=b))
+        return out
 
 
 class _Front:
@@ -225,22 +235,15 @@ class _Front:
         self._height = height_deg
         self._rows = np.empty((64, 4))
         self._count = 0
-        self.coarse = False
-
-    def __len__(self) -> int:
-        return self._count
 
     def admit(self, label: Label) -> bool:
         """Take a label in, unless whatever can follow it can as well follow another one that is no dearer."""
         known = self._rows[: self._count]
         near = known[:, 0] <= label.images
-        if self.coarse and label.count > FEW:
-            near &= known[:, 1] >= label.pitch_deg - 0.003 * self._height
-        else:
-            near &= known[:, 1] >= label.pitch_deg - 1e-6
-            near &= (known[:, 3] >= label.count) | (known[:, 1] > label.pitch_deg + 0.04 * self._height)
-            if label.count <= 2 * FEW:
-                near &= known[:, 2] >= label.highest_deg - 0.005 * self._height
+        near &= known[:, 1] >= label.pitch_deg - 1e-6
+        near &= (known[:, 3] >= label.count) | (known[:, 1] > label.pitch_deg + 0.04 * self._height)
+        if label.count <= 2 * FEW:
+            near &= known[:, 2] >= label.highest_deg - 0.005 * self._height
         if near.any():
             return False
         if self._count == len(self._rows):

@@ -1,7 +1,8 @@
 """How high the next row can stand: the greatest pitch at which a pair of rows still has a wanted margin.
 
-A rough margin gives a first answer, and a few exact ones set it right; what the rough one overlooks (coverage) and what
-does not settle is looked for by exact margins alone. So nearly all of the work is rough and all of the answers exact.
+Where about the right pitch is known beforehand, a few secant steps on exact margins settle it. Elsewhere a rough margin
+gives a first answer, and a few exact ones set it right; what the rough one overlooks (coverage) and what does not settle
+is looked for by exact margins alone. So most of the work is rough and all of the answers exact.
 """
 
 from __future__ import annotations
@@ -21,10 +22,18 @@ _CLOSE = 0.02
 """Exact margins this far from the wanted one are worth a Newton step."""
 
 _SETTLED = 3e-4
+_SECANT_STEPS = 5
 
 
 def highest_pitch(
-    margin: PairMargin, pairs: Pairs, start: FloatArray, stop: FloatArray, *, wanted: FloatArray, height_deg: float
+    margin: PairMargin,
+    pairs: Pairs,
+    start: FloatArray,
+    stop: FloatArray,
+    *,
+    wanted: FloatArray,
+    height_deg: float,
+    guess: FloatArray | None = None,
 ) -> FloatArray:
     """The greatest pitch of the higher rows with which pairs have a wanted margin.
 
@@ -35,6 +44,7 @@ def highest_pitch(
         stop: (k,) greatest.
         wanted: (k,) margins.
         height_deg: vertical field of view.
+        guess: (k,) about where the answer is, NaN where that is not known.
 
     Returns:
         (k,), NaN where there is none.
@@ -43,10 +53,49 @@ def highest_pitch(
         return np.empty(0)
     rough = _Surplus(margin, pairs, wanted, COARSE)
     exact = _Surplus(margin, pairs, wanted, FINE)
+    answer = np.full(len(pairs), np.nan)
+    if guess is not None:
+        answer = _near(exact, guess, start, stop, height_deg=height_deg)
+    rest = np.nonzero(np.isnan(answer))[0]
+    if len(rest):
+        answer[rest] = _anywhere(rough.of(rest), exact.of(rest), start[rest], stop[rest], height_deg=height_deg)
+    return answer
+
+
+def _near(
+    exact: _Surplus, guess: FloatArray, start: FloatArray, stop: FloatArray, *, height_deg: float
+) -> FloatArray:
+    """Pitches (k,) that secant steps from a guess settle on; NaN where they do not."""
+    out = np.full(len(guess), np.nan)
+    which: IntArray = np.nonzero(~np.isnan(guess))[0]
+    x = np.clip(guess[which], start[which], stop[which])
+    before, value_before = x, np.zeros(len(x))
+    slope = np.full(len(which), -1.0 / height_deg)
+    for turn in range(_SECANT_STEPS):
+        if not len(which):
+            break
+        value = exact(which, x)
+        moved = np.abs(x - before) > 1e-9
+        if turn:
+            slope = np.where(moved, (value - value_before) / np.where(moved, x - before, 1.0), slope)
+            slope = np.clip(slope, -5.0 / height_deg, -0.2 / height_deg)
+        done = (value >= 0) & ((value <= _SETTLED) | (x >= stop[which]))
+        out[which[done]] = x[done]
+        following = np.clip(x + (value - _SETTLED / 3) / -slope, start[which], stop[which])
+        go_on = ~done & (np.abs(following - x) > 1e-9)
+        which, slope = which[go_on], slope[go_on]
+        before, value_before, x = x[go_on], value[go_on], following[go_on]
+    return out
+
+
+def _anywhere(
+    rough: _Surplus, exact: _Surplus, start: FloatArray, stop: FloatArray, *, height_deg: float
+) -> FloatArray:
+    """The greatest good pitches (k,), NaN for none."""
     guess = last_nonnegative(rough, start, stop, _ROUGH_PRECISION * height_deg, 6)
     guess = np.where(np.isnan(guess), start, guess)
-    best = np.full(len(pairs), np.nan)
-    which: IntArray = np.arange(len(pairs))
+    best = np.full(len(start), np.nan)
+    which: IntArray = np.arange(len(start))
     value = exact(which, guess)
     best[value >= 0] = guess[value >= 0]
     unsettled = (np.abs(value) > _SETTLED) & ~((value > 0) & (guess >= stop)) & (np.abs(value) < _CLOSE)
@@ -76,6 +125,10 @@ class _Surplus:
         self._pairs = pairs
         self._wanted = wanted
         self._grain = grain
+
+    def of(self, which: IntArray) -> _Surplus:
+        """The same of some of the pairs."""
+        return _Surplus(self._margin, self._pairs.at(which, self._pairs.high_deg[which]), self._wanted[which], self._grain)
 
     def __call__(self, which: IntArray, high_deg: FloatArray) -> FloatArray:
         pairs = self._pairs.at(which, high_deg)

@@ -12,6 +12,7 @@ a single row or column, which is a chain that breaks at any link) the search is 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -29,6 +30,7 @@ from panoexec.planning.request import MAX_IMAGES, check_request
 from panoexec.planning.row_polish import Rows, polish
 from panoexec.planning.row_rules import RowRules
 from panoexec.planning.row_search import Label, RowSearch
+from panoexec.planning.row_seam import with_best_seam
 from panoexec.planning.sequence import Order, order_shots
 from panoexec.planning.thinning import narrowed, thinned
 from panoexec.planning.variants import variants
@@ -42,6 +44,9 @@ _LOOSE_TRIED = 6
 
 _MANY = 500
 _RETRIES = 2
+_MARGIN_MANY = 6e-4
+"""Margin asked for in plans of very many rows: there the certificate, not a row more, is what costs time."""
+
 _DECIMALS = 7
 """Of pitch and yaw in a plan, degrees."""
 
@@ -123,13 +128,14 @@ class _Planner:
         Raises:
             PlanningError: there is none.
         """
-        group = 0
+        group, closes = 0, False
         for variant in variants(self._camera, self._constraints):
             if self._best is not None and self._best.certificate.certified and variant.group > group:
                 break
             group = variant.group
             some = self._try(RowRules(self._camera, self._constraints, variant.demands, variant.loss))
-            if not some and group == 0:
+            closes = closes or some
+            if not closes and group == 1:
                 break  # all other variants ask for more
         if self._best is None:
             raise refusal(self._camera, self._constraints)
@@ -140,7 +146,9 @@ class _Planner:
 
     def _try(self, rules: RowRules) -> bool:
         """Look for a certified plan with fewer images than the best one so far; tells whether rows close the band."""
-        search = RowSearch(rules)
+        margin = _MARGIN_MANY if rules.many else 0.0
+        rules = with_best_seam(rules)
+        search = RowSearch(rules, wanted=margin)
         if search.least_images is None:
             return False
         if search.least_images > MAX_IMAGES:
@@ -148,14 +156,13 @@ class _Planner:
                 f"at least {search.least_images} images are needed, more than the {MAX_IMAGES} that panoexec plans: "
                 "ask for less overlap, a smaller band or a shorter focal length"
             )
+        ways = search.ways()
         tried = loose = 0
-        some = False
-        for total, labels in search.waves():
+        for total, group in itertools.groupby(ways, key=lambda label: label.images):
             if self._best is not None and self._best.certificate.certified and total >= self._best.certificate.images:
                 return True
-            some = True
-            for label in labels[:_LABELS_TRIED]:
-                found = self._judged_label(rules, label, search.wanted)
+            for label in itertools.islice(group, _LABELS_TRIED):
+                found = self._judged_label(rules, label, margin)
                 if found is None:
                     continue
                 if self._best is None or found.rank < self._best.rank:
@@ -164,9 +171,11 @@ class _Planner:
                     return True
                 tried += 1
                 loose += not found.certificate.two_edge_connected
-            if loose >= _LOOSE_TRIED or tried >= (_MOST_TRIED if total < _MANY else _MOST_TRIED // 5):
-                return True
-        return some
+                if not found.certificate.connected:
+                    loose += _LOOSE_TRIED // (1 if rules.many else 2)
+                if loose >= _LOOSE_TRIED or tried >= (_MOST_TRIED if total < _MANY else _MOST_TRIED // 5):
+                    return True
+        return bool(ways)
 
     def _judged_label(self, rules: RowRules, label: Label, margin: float) -> _Found | None:
         """Rows of a label's counts with their verdict; None where they do not reach the top of the band."""

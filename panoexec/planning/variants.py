@@ -25,9 +25,10 @@ from panoexec.planning.row_rules import Demands, Loss
 from panoexec.planning.worst_overlap import ErrorCorners, worst_union_overlaps
 
 _SURE = MUTUAL_OVERLAP + 2e-4
-_BETWEEN_ROWS = (0.03, 0.06, 0.09, 0.12, 0.17, 0.25)
+_BETWEEN_ROWS = (0.06, 0.1, 0.16, 0.25)
 _NODES = 10
 _AROUND = 4
+_LOSS_STEP = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +102,7 @@ def worst_loss(camera: Camera, constraints: Constraints) -> Loss:
 class _Loss:
     """See `worst_loss`.
 
-    Measured for rows at their usual distance at a few pitches, when first asked for; between them it is taken for
+    Measured for rows half a field of view apart at a few pitches, when first asked for; between them it is taken for
     linear, and above the horizon for the mirror image of below.
     """
 
@@ -115,10 +116,9 @@ class _Loss:
 
     @cached_property
     def _measured(self) -> tuple[FloatArray, FloatArray]:
-        height = self._camera.vfov_deg
-        strip = height / 2 + math.degrees(math.atan(self._camera.half_height * (1 - 2 * self._constraints.overlap_v)))
         steepness = np.linspace(0.0, 90.0, _NODES)
-        step = min(strip, 0.95 * height)
+        # so near to each other that there is something to lose
+        step = _LOSS_STEP * self._camera.vfov_deg
         losses = [_loss_at(self._camera, self._constraints, -s, step) for s in steepness.tolist()]
         return steepness, np.array(losses)
 
