@@ -12,7 +12,6 @@ import math
 import numpy as np
 
 from panoexec.angles import FloatArray
-from panoexec.planning.row_layout import IntArray
 from panoexec.planning.row_rules import RowRules
 from panoexec.planning.row_steps import highest_pitch
 

@@ -27,6 +27,7 @@ _LOWEST_NODES = 33
 _FLATTEST_END_DEG = 89.9
 """Beyond this the end of a band is a pole: there is nothing to reach over."""
 
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rows:
     """Rows of evenly spaced images, the lowest first.
@@ -99,9 +100,7 @@ def _free_ends(rules: RowRules) -> tuple[bool, bool]:
     return low > -_FLATTEST_END_DEG, high < _FLATTEST_END_DEG
 
 
-def _climb(
-    rules: RowRules, path: Sequence[tuple[float, int]], margins: FloatArray, extra: FloatArray
-) -> FloatArray:
+def _climb(rules: RowRules, path: Sequence[tuple[float, int]], margins: FloatArray, extra: FloatArray) -> FloatArray:
     """Pitches (rows, margins) of rows as high as they can be with each margin, and no higher than given; else NaN.
 
     Args:

@@ -41,7 +41,13 @@ WIDTH, _WIDTH_MANY = 24, 8
 
 _SLACK = 3
 _SLACK_FRAC = 0.002
-"""Labels that promise so many images more than the best of their rows are given up."""
+"""What promises so many images more than the best complete label is given up."""
+
+_STEPS_AT_ONCE = (20, 100, 1000)
+"""So many steps are looked at for a row, and all that promise no more than the best and the slack; more if that leads
+nowhere. Promises are good where there are many images, which begin with the first number, others with the second."""
+
+_LARGE = 80
 
 _MOST_ROWS = 20_000
 
@@ -114,6 +120,14 @@ class RowSearch:
 
     def ways(self) -> list[Label]:
         """Complete labels: the fewest images first, then the fewest rows, then those that reach highest."""
+        large = (self.least_images or 0) >= _LARGE
+        for at_once in _STEPS_AT_ONCE if large else _STEPS_AT_ONCE[1:]:
+            ways = self._ways(at_once)
+            if ways:
+                return ways
+        return []
+
+    def _ways(self, at_once: int) -> list[Label]:
         front = _Front(self._rules.camera.vfov_deg)
         complete: list[Label] = []
         level, best = self._first, NEVER
@@ -124,7 +138,7 @@ class RowSearch:
             going = self._going_on([label for label in level if not label.reaches], best, front)
             if not going:
                 break
-            level = self._next_rows(going, best)
+            level = self._next_rows(going, best, at_once)
         return sorted(complete, key=lambda label: (label.images, label.rows, -label.highest_deg))
 
     def highest_reach_deg(self) -> float:
@@ -142,13 +156,10 @@ class RowSearch:
 
     def _going_on(self, labels: list[Label], best: int, front: _Front) -> list[Label]:
         """The most promising labels of one number of rows."""
-        promises = [self._promise(label) for label in labels]
-        worst = min([best, *promises])
-        worst = min(worst + _SLACK + int(_SLACK_FRAC * worst), NEVER - 1)
         ranked = sorted(
             (promise, label.images + self._outlook.about_after(label.pitch_deg), i)
-            for i, (promise, label) in enumerate(zip(promises, labels, strict=True))
-            if promise <= worst
+            for i, (promise, label) in enumerate((self._promise(label), label) for label in labels)
+            if promise <= _with_slack(best)
         )
         out: list[Label] = []
         for _, _, i in ranked:
@@ -158,11 +169,13 @@ class RowSearch:
                     break
         return out
 
-    def _next_rows(self, labels: list[Label], best: int) -> list[Label]:
+    def _next_rows(self, labels: list[Label], best: int, at_once: int) -> list[Label]:
         steps = [step for label in labels for step in self._steps_from(label)]
-        least = min([best, *(step.promise for step in steps)])
-        worst = min(least + _SLACK + int(_SLACK_FRAC * least), NEVER - 1)
-        return self._take([step for step in steps if step.promise <= worst])
+        steps = sorted((step for step in steps if step.promise <= _with_slack(best)), key=lambda step: step.promise)
+        if not steps:
+            return []
+        good = sum(step.promise <= _with_slack(steps[0].promise) for step in steps)
+        return self._take(steps[: max(good, at_once)])
 
     def _steps_from(self, label: Label) -> list[_Step]:
         """All rows that may follow a label."""
@@ -198,9 +211,7 @@ class RowSearch:
             np.array([step.stop_deg for step in steps]),
             wanted=np.full(len(steps), self._wanted),
             height_deg=rules.camera.vfov_deg,
-            guess=np.where(
-                np.minimum(low_count, count) > FEW, low_deg + self._outlook.usual_step_deg(low_deg), np.nan
-            ),
+            guess=np.where(np.minimum(low_count, count) > FEW, low_deg + self._outlook.usual_step_deg(low_deg), np.nan),
         )
         good = ~np.isnan(pitch)
         before: list[Label | None] = [step.label for step, g in zip(steps, good.tolist(), strict=True) if g]
@@ -226,6 +237,10 @@ class RowSearch:
             reaches = h >= top and rows >= self._rules.demands.least_rows
             out.append(Label(pitch_deg=p, count=c, images=images, rows=rows, highest_deg=h, reaches=reaches, before=b))
         return out
+
+
+def _with_slack(images: int) -> int:
+    return min(images + _SLACK + int(_SLACK_FRAC * images), NEVER - 1)
 
 
 class _Front:

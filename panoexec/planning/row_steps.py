@@ -1,8 +1,8 @@
 """How high the next row can stand: the greatest pitch at which a pair of rows still has a wanted margin.
 
 Where about the right pitch is known beforehand, a few secant steps on exact margins settle it. Elsewhere a rough margin
-gives a first answer, and a few exact ones set it right; what the rough one overlooks (coverage) and what does not settle
-is looked for by exact margins alone. So most of the work is rough and all of the answers exact.
+gives a first answer, and a few exact ones set it right; what the rough one overlooks (coverage) and what does not
+settle is looked for by exact margins alone. So most of the work is rough and all of the answers exact.
 """
 
 from __future__ import annotations
@@ -62,9 +62,7 @@ def highest_pitch(
     return answer
 
 
-def _near(
-    exact: _Surplus, guess: FloatArray, start: FloatArray, stop: FloatArray, *, height_deg: float
-) -> FloatArray:
+def _near(exact: _Surplus, guess: FloatArray, start: FloatArray, stop: FloatArray, *, height_deg: float) -> FloatArray:
     """Pitches (k,) that secant steps from a guess settle on; NaN where they do not."""
     out = np.full(len(guess), np.nan)
     which: IntArray = np.nonzero(~np.isnan(guess))[0]
@@ -128,7 +126,9 @@ class _Surplus:
 
     def of(self, which: IntArray) -> _Surplus:
         """The same of some of the pairs."""
-        return _Surplus(self._margin, self._pairs.at(which, self._pairs.high_deg[which]), self._wanted[which], self._grain)
+        return _Surplus(
+            self._margin, self._pairs.at(which, self._pairs.high_deg[which]), self._wanted[which], self._grain
+        )
 
     def __call__(self, which: IntArray, high_deg: FloatArray) -> FloatArray:
         pairs = self._pairs.at(which, high_deg)

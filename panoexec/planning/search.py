@@ -13,7 +13,7 @@ a single row or column, which is a chain that breaks at any link) the search is 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,8 +29,8 @@ from panoexec.planning.refusal import refusal, tolerance_eats_image, too_dense
 from panoexec.planning.request import MAX_IMAGES, check_request
 from panoexec.planning.row_polish import Rows, polish
 from panoexec.planning.row_rules import RowRules
-from panoexec.planning.row_search import Label, RowSearch
 from panoexec.planning.row_seam import with_best_seam
+from panoexec.planning.row_search import Label, RowSearch
 from panoexec.planning.sequence import Order, order_shots
 from panoexec.planning.thinning import narrowed, thinned
 from panoexec.planning.variants import variants
@@ -38,11 +38,18 @@ from panoexec.planning.variants import variants
 _LABELS_TRIED = 3
 """So many ways of one total are tried before a larger total is."""
 
-_MOST_TRIED = 30
+_MOST_TRIED = 9
+_ROUNDS = 4
+_FACTOR = 4.0
+_UNKNOWN = 0.02
+"""So many searches, each for rows with so many times the margin of the last, where C1 or C3 fails."""
+
+_WORK, _LEAST_WORK = 6, 600
+"""So many times the images of a plan, and no fewer than so many, are judged at the most."""
+
 _LOOSE_TRIED = 6
 """After so many plans that only C4 keeps from being certified, more is asked of the rows."""
 
-_MANY = 500
 _RETRIES = 2
 _MARGIN_MANY = 6e-4
 """Margin asked for in plans of very many rows: there the certificate, not a row more, is what costs time."""
@@ -121,6 +128,7 @@ class _Planner:
         self._asked = constraints
         self._constraints = narrowed(constraints)
         self._best: _Found | None = None
+        self._spent = 0
 
     def best(self) -> _Found:
         """The best plan.
@@ -130,7 +138,7 @@ class _Planner:
         """
         group, closes = 0, False
         for variant in variants(self._camera, self._constraints):
-            if self._best is not None and self._best.certificate.certified and variant.group > group:
+            if (self._best_images is not None and variant.group > group) or self._exhausted:
                 break
             group = variant.group
             some = self._try(RowRules(self._camera, self._constraints, variant.demands, variant.loss))
@@ -146,36 +154,60 @@ class _Planner:
 
     def _try(self, rules: RowRules) -> bool:
         """Look for a certified plan with fewer images than the best one so far; tells whether rows close the band."""
-        margin = _MARGIN_MANY if rules.many else 0.0
         rules = with_best_seam(rules)
-        search = RowSearch(rules, wanted=margin)
-        if search.least_images is None:
-            return False
-        if search.least_images > MAX_IMAGES:
-            raise PlanningError(
-                f"at least {search.least_images} images are needed, more than the {MAX_IMAGES} that panoexec plans: "
-                "ask for less overlap, a smaller band or a shorter focal length"
-            )
-        ways = search.ways()
+        margin = _MARGIN_MANY if rules.many else 0.0
+        closes = False
+        for _ in range(_ROUNDS):
+            search = RowSearch(rules, wanted=margin)
+            if search.least_images is None:
+                break
+            if search.least_images > MAX_IMAGES:
+                raise PlanningError(
+                    f"at least {search.least_images} images are needed, more than the {MAX_IMAGES} that panoexec "
+                    "plans: ask for less overlap, a smaller band or a shorter focal length"
+                )
+            ways = search.ways()
+            closes = closes or bool(ways)
+            lacking = self._try_ways(rules, ways, margin)
+            if lacking is None:
+                break
+            # rows of other numbers, with what these lacked
+            margin = max(margin + lacking, _FACTOR * margin)
+        return closes
+
+    def _try_ways(self, rules: RowRules, ways: Sequence[Label], margin: float) -> float | None:
+        """Judge ways; tells what those lack that only C1 or C3 keeps from being certified, None if that is not it."""
         tried = loose = 0
-        for total, group in itertools.groupby(ways, key=lambda label: label.images):
-            if self._best is not None and self._best.certificate.certified and total >= self._best.certificate.images:
-                return True
-            for label in itertools.islice(group, _LABELS_TRIED):
-                found = self._judged_label(rules, label, margin)
-                if found is None:
-                    continue
-                if self._best is None or found.rank < self._best.rank:
-                    self._best = found
-                if found.certificate.certified:
-                    return True
-                tried += 1
-                loose += not found.certificate.two_edge_connected
-                if not found.certificate.connected:
-                    loose += _LOOSE_TRIED // (1 if rules.many else 2)
-                if loose >= _LOOSE_TRIED or tried >= (_MOST_TRIED if total < _MANY else _MOST_TRIED // 5):
-                    return True
-        return bool(ways)
+        lacking: list[float] = []
+        for label in _some_of_each_total(ways):
+            if self._best_images is not None and label.images >= self._best_images:
+                return None
+            found = self._judged_label(rules, label, margin)
+            if found is None:
+                continue
+            if self._best is None or found.rank < self._best.rank:
+                self._best = found
+            if found.certificate.certified or self._exhausted:
+                return None
+            lack = _lacking(found.certificate, self._constraints)
+            lacking += [] if lack is None else [lack]
+            tried += 1
+            loose += not found.certificate.two_edge_connected
+            if not found.certificate.connected:
+                loose += _LOOSE_TRIED // (1 if rules.many else 2)
+            if loose >= _LOOSE_TRIED or tried >= _MOST_TRIED:
+                break
+        return min(lacking, default=None)
+
+    @property
+    def _best_images(self) -> int | None:
+        """Images of the best certified plan so far."""
+        return len(self._best.shots) if self._best is not None and self._best.certificate.certified else None
+
+    @property
+    def _exhausted(self) -> bool:
+        """Whether as much was judged as a plan is worth."""
+        return self._best is not None and self._spent > _WORK * max(_LEAST_WORK, len(self._best.shots))
 
     def _judged_label(self, rules: RowRules, label: Label, margin: float) -> _Found | None:
         """Rows of a label's counts with their verdict; None where they do not reach the top of the band."""
@@ -193,7 +225,13 @@ class _Planner:
 
     def _judged(self, rules: RowRules, rows: Rows) -> _Found:
         shots = row_shots(rules, rows)
+        self._spent += len(shots)
         return _Found(shots, _verdict(self._camera, self._constraints, shots))
+
+
+def _some_of_each_total(ways: Sequence[Label]) -> Iterator[Label]:
+    for _, group in itertools.groupby(ways, key=lambda label: label.images):
+        yield from itertools.islice(group, _LABELS_TRIED)
 
 
 def _verdict(camera: Camera, constraints: Constraints, shots: Sequence[Shot]) -> Certificate:
@@ -218,5 +256,6 @@ def _lacking(certificate: Certificate, constraints: Constraints) -> float | None
     if lacking > 0.05 or not certificate.two_edge_connected:
         return None
     if lacking > 0:
-        return lacking + 2e-4
+        # less than nothing in common counts as nothing, so what is lacking there is not known
+        return lacking + 2e-4 if least else max(lacking, _UNKNOWN)
     return 2e-3 if certificate.uncovered_fraction > 0 else None

@@ -29,6 +29,7 @@ _BETWEEN_ROWS = (0.06, 0.1, 0.16, 0.25)
 _NODES = 10
 _AROUND = 4
 _LOSS_STEP = 0.5
+_TO_SPARE = 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +103,7 @@ def worst_loss(camera: Camera, constraints: Constraints) -> Loss:
 class _Loss:
     """See `worst_loss`.
 
-    Measured for rows half a field of view apart at a few pitches, when first asked for; between them it is taken for
+    Measured for rows at their usual distance at a few pitches, when first asked for; between them it is taken for
     linear, and above the horizon for the mirror image of below.
     """
 
@@ -117,10 +118,16 @@ class _Loss:
     @cached_property
     def _measured(self) -> tuple[FloatArray, FloatArray]:
         steepness = np.linspace(0.0, 90.0, _NODES)
-        # so near to each other that there is something to lose
+        # so near to each other that there is something to lose, then as near as what is lost brings them
         step = _LOSS_STEP * self._camera.vfov_deg
-        losses = [_loss_at(self._camera, self._constraints, -s, step) for s in steepness.tolist()]
-        return steepness, np.array(losses)
+        losses = np.array([_loss_at(self._camera, self._constraints, -s, step) for s in steepness.tolist()])
+        overlap = self._constraints.overlap_v + 1.5 * float(losses.max()) + _TO_SPARE
+        half = self._camera.half_height
+        usual = self._camera.vfov_deg / 2 + math.degrees(math.atan(half * (1 - 2 * overlap)))
+        if usual > step:
+            again = [_loss_at(self._camera, self._constraints, -s, usual) for s in steepness.tolist()]
+            return steepness, np.array(again)
+        return steepness, losses
 
 
 def _loss_at(camera: Camera, constraints: Constraints, pitch_deg: float, step_deg: float) -> float:
