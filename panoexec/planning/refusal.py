@@ -181,7 +181,7 @@ def _size(camera: Camera) -> str:
 
 
 def _feasible(camera: Camera, constraints: Constraints) -> bool:
-    return bool(RowSearch(_rules(camera, constraints), width=_WIDTH).ways())
+    return bool(RowSearch(_rules(camera, constraints), width=_WIDTH).ways(patient=False))
 
 
 def _rules(camera: Camera, constraints: Constraints) -> RowRules:

@@ -43,11 +43,14 @@ _SLACK = 3
 _SLACK_FRAC = 0.002
 """What promises so many images more than the best complete label is given up."""
 
-_STEPS_AT_ONCE = (20, 100, 1000)
+_STEPS_AT_ONCE = (20, 100, 400)
 """So many steps are looked at for a row, and all that promise no more than the best and the slack; more if that leads
 nowhere. Promises are good where there are many images, which begin with the first number, others with the second."""
 
 _LARGE = 80
+
+_MORE_ROWS = 2
+"""Labels with so many rows more than the best complete one are given up."""
 
 _MOST_ROWS = 20_000
 
@@ -118,28 +121,41 @@ class RowSearch:
         promises = [promise for promise in map(self._promise, self._first) if promise < NEVER]
         return min(promises) if promises else None
 
-    def ways(self) -> list[Label]:
-        """Complete labels: the fewest images first, then the fewest rows, then those that reach highest."""
+    def ways(self, *, patient: bool = True) -> list[Label]:
+        """Complete labels: the fewest images first, then the fewest rows, then those that reach highest.
+
+        Args:
+            patient: where none are found, look at more steps.
+        """
         large = (self.least_images or 0) >= _LARGE
-        for at_once in _STEPS_AT_ONCE if large else _STEPS_AT_ONCE[1:]:
-            ways = self._ways(at_once)
-            if ways:
+        tries = _STEPS_AT_ONCE if large else _STEPS_AT_ONCE[1:]
+        for at_once in tries if patient else tries[:-1]:
+            ways, complete = self._ways(at_once)
+            if ways or complete:
                 return ways
         return []
 
-    def _ways(self, at_once: int) -> list[Label]:
+    def _ways(self, at_once: int) -> tuple[list[Label], bool]:
+        """Complete labels, and whether all steps were looked at."""
+        everything = True
         front = _Front(self._rules.camera.vfov_deg)
         complete: list[Label] = []
-        level, best = self._first, NEVER
+        level, best, rows_left = self._first, NEVER, 1
         for _ in range(_MOST_ROWS):
             reaching = [label for label in level if label.reaches]
             complete += reaching
-            best = min([best, *(label.images for label in reaching)])
+            if min((label.images for label in reaching), default=NEVER) < best:
+                best, rows_left = min(label.images for label in reaching), _MORE_ROWS + 1
+            rows_left -= best < NEVER
+            if not rows_left:
+                break
             going = self._going_on([label for label in level if not label.reaches], best, front)
             if not going:
                 break
-            level = self._next_rows(going, best, at_once)
-        return sorted(complete, key=lambda label: (label.images, label.rows, -label.highest_deg))
+            steps, all_steps = self._next_steps(going, best, at_once)
+            everything = everything and all_steps
+            level = self._take(steps)
+        return sorted(complete, key=lambda label: (label.images, label.rows, -label.highest_deg)), everything
 
     def highest_reach_deg(self) -> float:
         """Upper end of what rows could cover at all, -90 if there is no first row: for error messages."""
@@ -169,13 +185,13 @@ class RowSearch:
                     break
         return out
 
-    def _next_rows(self, labels: list[Label], best: int, at_once: int) -> list[Label]:
+    def _next_steps(self, labels: list[Label], best: int, at_once: int) -> tuple[list[_Step], bool]:
+        """The steps worth a look, and whether these are all."""
         steps = [step for label in labels for step in self._steps_from(label)]
         steps = sorted((step for step in steps if step.promise <= _with_slack(best)), key=lambda step: step.promise)
-        if not steps:
-            return []
         good = sum(step.promise <= _with_slack(steps[0].promise) for step in steps)
-        return self._take(steps[: max(good, at_once)])
+        most = max(good, at_once)
+        return steps[:most], len(steps) <= most
 
     def _steps_from(self, label: Label) -> list[_Step]:
         """All rows that may follow a label."""
