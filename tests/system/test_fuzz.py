@@ -80,7 +80,7 @@ class Crowd:
 
     async def settle(self, unanswered: int) -> None:
         """Wait until no more than so many are without an answer."""
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(180):
             while self.sent - self.answers > unanswered:
                 self._answered.clear()
                 await self._answered.wait()

@@ -86,7 +86,7 @@ async def test_send_and_watch_from_the_first_answer_to_the_last_event(tmp_path: 
         async with simulator, ground_station(broker) as ground, serving(tmp_path, broker, port):
             await ready(ground)
             await sends(broker)
-            watching = ("watch", "--port", broker.port, "--json", "--timeout", 120)
+            watching = ("watch", "--port", broker.port, "--json", "--timeout", 600)
             async with panoexec(*watching) as one, panoexec(*watching, "--all") as fleet:
                 async with aiomqtt.Client("127.0.0.1", broker.port) as other:
                     await other.publish("panoexec/kite/status", "offline", qos=1, retain=True)

@@ -59,7 +59,7 @@ async def reason_of(settings: MqttSection, part: str) -> str:
     requests: list[Incoming] = []
     link = MqttLink(settings, vehicle="drone", on_request=requests.append, backoff_s=0.05)
     async with running(link):
-        await eventually(lambda: part in link.reason, 20)
+        await eventually(lambda: part in link.reason, 60)
         assert not link.connected
         return link.reason
 
@@ -71,9 +71,9 @@ async def test_certificates_both_ways_let_in_and_give_the_rights_of_their_name(
     drone, ground = authority.issue("drone"), authority.issue("ground")
     link = MqttLink(section(broker, authority, drone), vehicle="drone", on_request=requests.append)
     async with running(link), GroundStation(section(broker, authority, ground)) as station:
-        await eventually(lambda: link.connected, 20)
+        await eventually(lambda: link.connected, 60)
         asking = asyncio.create_task(station.request("drone", "get", {}, timeout_s=30), name="ask")
-        await eventually(lambda: requests, 20)
+        await eventually(lambda: requests, 60)
         transaction = requests[0].payload.split(b'"transaction": ')[1].split(b"}")[0]
         link.respond(requests[0], b'{"transaction": ' + transaction + b', "status": "ok"}')
         assert (await asking)["status"] == "ok"
@@ -123,7 +123,7 @@ async def test_a_port_without_tls(tmp_path: Path, authority: Authority) -> None:
         requests: list[Incoming] = []
         link = MqttLink(settings, vehicle="drone", on_request=requests.append, backoff_s=0.05)
         async with running(link):
-            await eventually(lambda: link.reason != "not connected yet", 20)
+            await eventually(lambda: link.reason != "not connected yet", 60)
             assert not link.connected
 
 

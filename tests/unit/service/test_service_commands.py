@@ -39,7 +39,7 @@ class Desk:
         self.commands.take(incoming)
 
     async def heard(self, count: int) -> list[dict[str, Any]]:
-        await eventually(lambda: len(self.answers) >= count, 20)
+        await eventually(lambda: len(self.answers) >= count, 60)
         return self.answers
 
     def codes(self) -> list[str]:
