@@ -270,6 +270,14 @@ def _examine_status(vehicle: MavsdkVehicle, config: Config, findings: Findings) 
             needed=f"{modes} when a mission begins",
             advice="the pilot's switch, or [guards] allowed_modes (OFFBOARD is ArduPilot's GUIDED, HOLD its LOITER)",
         )
+    elif config.gimbal.yaw != "gimbal" and status.mode not in vehicle.turn_modes:
+        findings.warning(
+            "vehicle",
+            "flight mode",
+            f"{status.mode or 'unknown'} now",
+            needed=f"{' or '.join(vehicle.turn_modes)} where the vehicle pans ([gimbal] yaw)",
+            advice="the pilot's switch (OFFBOARD is ArduPilot's GUIDED)",
+        )
     else:
         findings.ok("vehicle", "flight mode", status.mode or "unknown")
     where = "in the air" if status.in_air else "on the ground"
