@@ -1,9 +1,14 @@
-"""What the daemon does not carry with it."""
+"""What the daemon does not carry with it, and what it does not begin with."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
+
+import pytest
+
+from panoexec.cli.app import run
 
 
 def test_the_daemon_imports_nothing_that_it_never_needs() -> None:
@@ -16,3 +21,44 @@ def test_the_daemon_imports_nothing_that_it_never_needs() -> None:
 def test_rich_is_there_for_those_who_draw() -> None:
     program = "import panoexec.cli.lean, structlog, rich.table"
     subprocess.run([sys.executable, "-c", program], check=True)
+
+
+@pytest.mark.parametrize(("under_systemd", "code"), [(False, 2), (True, 78)])
+@pytest.mark.parametrize(
+    ("key", "value", "part"),
+    [
+        ("storage.path", "/proc/panoexec", "/proc/panoexec: cannot be used"),
+        ("mqtt.password_file", "{folder}/open", "everybody on this machine can read it"),
+        ("mqtt.ca_file", "{folder}/none", "cannot be read (No such file or directory)"),
+    ],
+)
+def test_what_cannot_be_used_ends_it_with_one_line(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    key: str,
+    value: str,
+    part: str,
+    under_systemd: bool,
+    code: int,
+) -> None:
+    if under_systemd:
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "none"))
+    else:
+        monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
+    (tmp_path / "open").write_text("secret\n")
+    (tmp_path / "open").chmod(0o644)
+    monkeypatch.setattr("panoexec.cli.serve.configure_logs", lambda *_: None)  # logs are this process's
+    settings = {
+        "vehicle.connection": "udpin://127.0.0.1:1",
+        "storage.path": str(tmp_path),
+        "mqtt.host": "127.0.0.1",
+        "mqtt.username": "drone",
+    }
+    settings[key] = value.format(folder=tmp_path)
+    config = tmp_path / "c.toml"
+    config.write_text("".join(f'{name} = "{text}"\n' for name, text in settings.items()))
+    assert run(["serve", "--config", str(config)]) == code
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert part in err
