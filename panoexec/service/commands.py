@@ -296,7 +296,7 @@ class Commands:
         devices = self._vehicle.devices
         if devices is None or not self._vehicle.links().autopilot.ok:
             raise RefusedRequestError(
-                "not_ready", f"the vehicle is not ready: {self._vehicle.reason or 'no heartbeats'}"
+                "not_ready", f"the vehicle is not ready: {self._vehicle.lacking or 'no heartbeats'}"
             )
         return devices
 

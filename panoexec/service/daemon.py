@@ -234,7 +234,7 @@ class Daemon:
         offered = offer is not None and mission is None
         battery = self.vehicle.status.battery_frac
         eta = mission.eta_s if mission is not None and record is not None and record.state in FLYING else math.nan
-        state, reason = MissionState.IDLE, self.vehicle.reason
+        state, reason = MissionState.IDLE, self.vehicle.lacking
         if record is not None and not (offered and record.state in FLYING):
             state, reason = record.state, record.reason
         elif offered:
@@ -300,7 +300,7 @@ class Daemon:
     def _status_line(self) -> str:
         record = self.missions.record
         if record is None or not self.missions.busy:
-            return f"idle; {self.vehicle.reason or 'vehicle ready'}"
+            return f"idle; {self.vehicle.lacking or 'vehicle ready'}"
         return f"{record.state.value}: shot {record.shots_done}/{record.shots_total} of {record.mission_id}"
 
     # --- signs of life

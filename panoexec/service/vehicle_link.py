@@ -31,6 +31,7 @@ _BACKOFF_MOST_S: Final = 15.0
 _GIMBAL_SILENT_S: Final = 3.0
 _CAMERA_SILENT_S: Final = 15.0
 _LOOK_S: Final = 1.0
+_NAMES: Final = ("autopilot", "gimbal", "camera")
 
 _log = structlog.get_logger(__name__)
 
@@ -73,6 +74,14 @@ class VehicleLink:
         """How the links do."""
         autopilot, gimbal, camera = (_fields(ok, age_s) for ok, age_s in self._standing())
         return LinksFields(autopilot=autopilot, gimbal=gimbal, camera=camera)
+
+    @property
+    def lacking(self) -> str:
+        """What is missing, or was lost after all had been found; "" for nothing."""
+        if self.reason:
+            return self.reason
+        lost = [name for name, (ok, _) in zip(_NAMES, self._standing(), strict=True) if not ok]
+        return f"lost: {', '.join(lost)}" if lost else ""
 
     def _standing(self) -> tuple[tuple[bool, float], tuple[bool, float], tuple[bool, float]]:
         """Whether autopilot, gimbal and camera are there, and when each was last heard, seconds ago."""
