@@ -292,7 +292,7 @@ class ShotRejected(ShotEvent):
     """The attempt does not count.
 
     Attributes:
-        code: `not_settled`, `pointing`, `no_samples`, `trigger`, `evidence`, `gimbal`, `crash`.
+        code: `not_settled`, `pointing`, `no_samples`, `trigger`, `evidence`, `gimbal`, `vehicle`, `crash`.
         reason: for the pilot, with figures.
     """
 

@@ -86,7 +86,8 @@ def _gimbal(camera: Camera, constraints: Constraints) -> str | None:
     return (
         f"{pan}, so neighbours must bridge {layout.blind_deg:.4g}°, but with an overlap of "
         f"{constraints.overlap_h:.0%} images at the horizon may be at most {widest:.4g}° apart "
-        f"({layout.blind_deg - widest:.3g}° too much): ask for an azimuth sector within the pan range"
+        f"({layout.blind_deg - widest:.3g}° too much): ask for an azimuth sector within the pan "
+        "range, or let the vehicle pan the rest (yaw: auto)"
     )
 
 
