@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--geometry", action="store_true", help="do not stitch: exact holes in the ground where the photos were taken"
     )
-    parser.add_argument("--width", type=_width, metavar="PX", help="width of the photos (640, 320, 520 by scenario)")
+    parser.add_argument("--width", type=_width, metavar="PX", help="width of the photos (640, 420, 520 by scenario)")
     parser.add_argument("--scene", type=Path, metavar="EQUIRECT", help="a picture instead of the generated landscape")
     parser.add_argument("--output", type=Path, default=Path("experiment"), metavar="DIR", help="results (experiment)")
     parser.add_argument("--keep", action="store_true", help="keep photos and panoramas, not only previews")

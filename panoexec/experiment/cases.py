@@ -13,7 +13,7 @@ from panoexec.planning.model import Plan, Timing
 from panoexec.planning.published import published_plan
 
 PLANS: Final = ("proposed", "hdrpano", "certified")
-DEFAULT_WIDTH_PX: Final[Mapping[int, int]] = MappingProxyType({1: 640, 2: 320, 3: 520})
+DEFAULT_WIDTH_PX: Final[Mapping[int, int]] = MappingProxyType({1: 640, 2: 420, 3: 520})
 """Width of the rendered photos, a tenth of the camera's or less: enough for control points everywhere on the ground."""
 
 
