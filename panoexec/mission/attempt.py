@@ -19,8 +19,9 @@ from panoexec.mission.turning import Turner
 from panoexec.mission.waiting import until, within
 from panoexec.planning.duration import slew_time_s
 from panoexec.planning.model import Shot
+from panoexec.planning.pose_error import pose_error
 from panoexec.pointing import SettleLimits, SettleTracker, Target, WindowVerdict, judge_window
-from panoexec.pose_reading import PoseReader, pose_of, read_pose, to_north
+from panoexec.pose_reading import PoseReader, Reading, pose_of, read_pose, to_north
 
 T = TypeVar("T")
 
@@ -140,10 +141,12 @@ class Shooter:
             max_gap_s=self.settings.max_gap_s,
             told_rates=not self._nose_pans,
         )
-        tracker = SettleTracker(target=self._target(shot), limits=limits)
+        target = self._target(shot)
+        tracker = SettleTracker(target=target, limits=limits)
         bound_s = expected_s + self.settings.settle_s + patience_s
         wait = _Wait(
             tracker=tracker,
+            target=target,
             commanded_s=commanded_s,
             bound_s=bound_s,
             deadline_s=commanded_s + bound_s,
@@ -310,8 +313,11 @@ class Shooter:
             wait.deadline_s = max(wait.deadline_s, free_s + wait.bound_s)
 
     def _read(self, wait: _Wait, nose: Turner | None = None) -> None:
-        """Feed the tracker with what has come."""
-        for reading in self.poses.since(wait.newest_s):
+        """Feed the tracker with what has come; of samples that end out of tolerance, the last one alone matters."""
+        readings = self.poses.since(wait.newest_s)
+        if nose is None and readings and not _is_inside(readings[-1], wait.target):
+            readings = readings[-1:]
+        for reading in readings:
             wait.newest_s = reading.time_s
             wait.tracker.add(reading)
             if nose is not None and wait.tracker.error is not None:
@@ -341,6 +347,13 @@ class Shooter:
                 return
 
 
+def _is_inside(reading: Reading, target: Target) -> bool:
+    """Whether a reading is within the tolerance of a target."""
+    if reading.rotation is None:
+        return False
+    return bool(pose_error(target.pitch_deg, target.yaw_deg, reading.rotation).within(target.tolerance))
+
+
 @dataclass(kw_only=True)
 class _Wait:
     """The wait for one pose to settle; what keeps the trigger for other reasons moves its deadline.
@@ -351,6 +364,7 @@ class _Wait:
     """
 
     tracker: SettleTracker
+    target: Target
     commanded_s: float
     bound_s: float
     deadline_s: float

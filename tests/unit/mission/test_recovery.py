@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
@@ -112,6 +112,25 @@ def test_a_count_that_somebody_else_may_have_raised_proves_nothing() -> None:
     two = killed_when(foreign, a_camera(counts=True))
     rejected = two.second_life(ev.ShotRejected)[0]
     assert (rejected.shot, rejected.code) == (1, "crash")
+    assert two.record.state is S.COMPLETE
+
+
+@pytest.mark.parametrize("apart_s", [-3.0, -0.5, 0.7, 3.0])
+def test_somebody_elses_photo_of_another_moment_does_not_count_for_ours(apart_s: float) -> None:
+    """Ours did not come about; the camera has one that an assistant took by hand."""
+
+    def lost(world: World) -> bool:
+        if not exposed(2)(world):
+            return False
+        ours = world.camera.photos.pop()
+        world.camera.photos.append(
+            replace(ours, index=7, exposed_s=ours.exposed_s + apart_s, ended_s=ours.ended_s + apart_s)
+        )
+        return True
+
+    two = killed_when(lost, a_camera(remembers=True))
+    assert two.record.shots[1].attempts[0].code == "crash"
+    assert two.record.shots[1].attempts[0].photos[0].image_index == -1
     assert two.record.state is S.COMPLETE
 
 
