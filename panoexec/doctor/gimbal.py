@@ -77,7 +77,16 @@ def _examine_limits(gimbal: MavsdkGimbal, config: Config, findings: Findings) ->
         else:
             findings.ok("gimbal", "limits", f"{text}; configured {_range(gimbal_limits(config))}")
         return
-    findings.ok("gimbal", "limits", _range(own))
+    if own.pans or config.gimbal.yaw != "gimbal":
+        findings.ok("gimbal", "limits", _range(own))
+        return
+    findings.missing(
+        "gimbal",
+        "limits",
+        f"{_range(own)}: it does not pan",
+        needed="all yaws of a panorama",
+        advice='[gimbal] yaw = "vehicle": the vehicle turns in its place',
+    )
 
 
 def _range(limits: GimbalLimits) -> str:
@@ -125,15 +134,15 @@ async def _examine_plan(gimbal: MavsdkGimbal, config: Config, findings: Findings
     """Plan the configured panorama, and see whether this gimbal reaches all of it."""
     try:
         wish = wish_of(config, PlanRequest(transaction="doctor"))
-        limits = wish.constraints.gimbal or GimbalLimits()
-        limits = limits_that_hold(gimbal.limits, limits)
+        limits = limits_that_hold(gimbal.limits, wish.constraints.gimbal or GimbalLimits())
         wish = replace(wish, constraints=replace(wish.constraints, gimbal=limits))
         plan = await asyncio.to_thread(wish.plan)
     except PanoexecError as error:
         advice = f"[mission] elevation_deg, or {advise('limits', findings.autopilot)}"
         findings.missing("mission", "plan", str(error), needed="the configured panorama", advice=advice)
         return
-    beyond = limit_problems(plan.shots, limits) if not _turned_by_heading(limits) else []
+    # limits of yaw are relative to the nose: what is in reach depends on where it will look
+    beyond = limit_problems(plan.shots, replace(limits, yaw_endless=True))
     certificate, estimate = plan.certificate, plan.estimate
     duration = "" if estimate is None else f", {estimate.duration_s:.0f} s"
     text = f"{len(plan.shots)} images{duration}"
@@ -144,11 +153,6 @@ async def _examine_plan(gimbal: MavsdkGimbal, config: Config, findings: Findings
         findings.warning("mission", "plan", f"{text}, not certified", advice="panoexec plan tells why")
     else:
         findings.ok("mission", "plan", f"{text}, certified, all within the gimbal's limits")
-
-
-def _turned_by_heading(limits: GimbalLimits) -> bool:
-    """Whether what is in reach depends on where the vehicle will look: limits of yaw are relative to its nose."""
-    return not limits.all_round and limits.yaw_max_deg - limits.yaw_min_deg < 360.0
 
 
 async def examine_control(gimbal: MavsdkGimbal, findings: Findings) -> None:
