@@ -36,6 +36,7 @@ class VendorSession:
         self._url = url
         self._calls = calls
         self._mavsdk: Mavsdk | None = None
+        self._made: list[Mavsdk] = []
         self._connection: Any = None
         self._plugins: dict[Any, Any] = {}
         self._next_open_s = 0.0
@@ -56,9 +57,11 @@ class VendorSession:
         def create() -> Mavsdk:
             configuration = Configuration.create_manual(system_id, component_id, always_send_heartbeats=True)
             try:
-                return Mavsdk(configuration)
+                mavsdk = Mavsdk(configuration)
             finally:
                 configuration.destroy()
+            self._made.append(mavsdk)  # whoever waits for it may be cancelled meanwhile, and it must be destroyed
+            return mavsdk
 
         self._mavsdk = mavsdk = await self._calls.run(create)
         self._connection = await self._calls.run(lambda: open_connection(mavsdk, self._url))
@@ -115,17 +118,18 @@ class VendorSession:
         A call that still runs then (only one that the autopilot reports progress of for ever) blocks its daemon thread
         for good.
         """
-        mavsdk, self._mavsdk = self._mavsdk, None
-        self.system = self._connection = None
+        self._mavsdk = self.system = self._connection = None
         self._plugins.clear()
-        if mavsdk is None:
-            return
         if not await self._calls.drain(_DRAIN_S):
             _log.warning("a call to the autopilot does not end")
+        made, self._made = self._made, []
+        if not made:
+            return
         loop, gone = asyncio.get_running_loop(), asyncio.Event()
 
         def destroy() -> None:
-            mavsdk.destroy()
+            for mavsdk in made:
+                mavsdk.destroy()
             with contextlib.suppress(RuntimeError):  # the loop was closed: nobody waits any more
                 loop.call_soon_threadsafe(gone.set)
 
