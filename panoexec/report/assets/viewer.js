@@ -1,5 +1,8 @@
 /* The panorama in a viewer, with a spot for each photo that opens the original beside this page. */
 "use strict";
+/* More spots than this make a browser slow; the sphere map leads to every photo. */
+const MOST_SPOTS = 800;
+
 function panoramaImage() {
   const block = document.getElementById("panorama-jpeg");
   return block ? `data:image/jpeg;base64,${block.textContent}` : null;
@@ -12,9 +15,11 @@ function hasWebgl() {
 }
 function showPanorama(source) {
   const stitched = data.panorama.kind === "stitched", holder = el("div", { id: "viewer" });
-  const lead = stitched
-    ? "Stitched from the originals. Drag to look around; a spot opens the photo that was taken there."
-    : "A quick look: the photos where their measured attitudes put them, not stitched yet (panoexec stitch does that). Drag to look around; a spot opens its photo.";
+  const linked = shots.filter((shot) => shot.taken && shot.photo && shot.photo.href);
+  const lead = (stitched
+    ? "Stitched from the originals."
+    : "A quick look: the photos where their measured attitudes put them, not stitched yet (panoexec stitch does that).")
+    + (linked.length > MOST_SPOTS ? " Drag to look around; the sphere map below leads to each photo." : " Drag to look around; a spot opens its photo.");
   const section = card("panorama", stitched ? "Panorama" : "Panorama, a quick look", lead, holder);
   const flat = () => {
     section.classList.add("viewer-off");
@@ -22,7 +27,7 @@ function showPanorama(source) {
   };
   if (!hasWebgl() || !window.pannellum) { flat(); return; }
   const first = shots.find((shot) => shot.taken), [low, high] = data.band.elevation;
-  const spots = shots.filter((shot) => shot.taken && shot.photo && shot.photo.href).map((shot) => ({
+  const spots = (linked.length > MOST_SPOTS ? [] : linked).map((shot) => ({
     pitch: elevationOf(shot.boresight),
     yaw: azimuthOf(shot.boresight),
     text: `shot ${shot.i}: ${shot.photo.name}`,
