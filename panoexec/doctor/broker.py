@@ -55,7 +55,11 @@ async def examine_broker(config: Config, findings: Findings) -> None:
     base = f"{section.prefix}/{config.vehicle.id}"
     acl = "the broker's ACL: config/mosquitto.acl; the user name must be the vehicle's id"
     findings.judge(
-        "broker", "requests", report.may_read, f"reading {base}/request/#: {_allowed(report.may_read)}", advice=acl
+        "broker",
+        "requests",
+        report.may_read,
+        f"subscribing to {base}/request/#: {_allowed(report.may_read)}",
+        advice=acl,
     )
     if report.may_write is None:
         findings.note("broker", "answers", "MQTT 3.1.1 does not tell whether we may write")

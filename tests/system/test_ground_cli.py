@@ -120,6 +120,11 @@ async def listening(broker: Broker, times: int) -> None:
     await eventually(lambda: broker.log.read_text(encoding="utf-8").count("/event (QoS 1)") >= times, 60)
 
 
+def acknowledged(broker: Broker) -> int:
+    """How many messages ground stations of the command line have acknowledged."""
+    return broker.log.read_text(encoding="utf-8").count("Received PUBACK from panoexec-ground-")
+
+
 async def test_nobody_answers(tmp_path: Path) -> None:
     with running_broker(tmp_path) as broker:
         code, out, err = await outcome("send", "get", "--port", broker.port, "--timeout", "0.3")
@@ -156,3 +161,21 @@ def test_no_broker(verb: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     port = free_tcp_port()
     assert run([*verb, "--port", str(port)]) == 3
     assert f"no broker at localhost:{port}: [Errno 111] Connection refused" in capsys.readouterr().err
+
+
+async def test_watch_waits_for_a_broker_that_goes_away(tmp_path: Path) -> None:
+    with running_broker(tmp_path) as broker:
+        async with panoexec("watch", "--all", "--port", broker.port, "--json") as watching:
+            await listening(broker, 1)
+            broker.stop(kill=True)
+            broker.start()
+            await listening(broker, 2)
+            async with aiomqtt.Client("127.0.0.1", broker.port) as other:
+                # once the fifth is acknowledged, the first has long been taken in
+                for number in range(1, 6):
+                    await other.publish("panoexec/kite/status", "online", qos=1)
+                    await eventually(lambda number=number: acknowledged(broker) >= number, 60)
+            watching.send_signal(signal.SIGINT)
+            seen = await document(watching)
+            assert watching.returncode == 130
+    assert seen["kite"]["status"] == "online"

@@ -13,11 +13,14 @@ from typing import Any
 import aiomqtt
 import pytest
 
-from panoexec.config import MqttSection
+from panoexec.config import Config, MqttSection
+from panoexec.doctor.broker import examine_broker
+from panoexec.doctor.findings import Findings
 from panoexec.errors import LinkError
 from panoexec.mqtt.credentials import credential_problems
 from panoexec.mqtt.ground import GroundStation
 from panoexec.mqtt.link import Incoming, MqttLink, running
+from panoexec.mqtt.probe import probe_broker
 from tests.wire.broker import PATH, Broker, eventually, needs_mosquitto, running_broker
 
 pytestmark = needs_mosquitto
@@ -116,3 +119,28 @@ def test_a_password_that_everybody_can_read_is_refused(tmp_path: Path) -> None:
     assert "ca_file" in problems[1]
     with suppress(OSError):
         file.unlink()
+
+
+@pytest.mark.parametrize(("user", "allowed"), [("drone", True), ("other", False)])
+async def test_the_doctor_sees_who_may_answer_for_a_vehicle(
+    tmp_path: Path, broker: Broker, user: str, allowed: bool
+) -> None:
+    report = await probe_broker(credentials(tmp_path, broker, user), vehicle="drone")
+    assert report.may_write is allowed
+    old = credentials(tmp_path, broker, user).model_copy(update={"protocol": "3.1.1"})
+    assert (await probe_broker(old, vehicle="drone")).may_write is None
+    findings = Findings()
+    section = credentials(tmp_path, broker, user).model_dump()
+    await examine_broker(Config.model_validate({"vehicle": {"id": "drone"}, "mqtt": section}), findings)
+    (answers,) = [f for f in findings.all if f.check == "answers"]
+    assert answers.verdict == ("ok" if allowed else "missing")
+    assert findings.exit_code == (0 if allowed else 3)
+
+
+async def test_the_doctor_is_told_by_a_broker_that_lets_nobody_in(tmp_path: Path, broker: Broker) -> None:
+    section = MqttSection(host="127.0.0.1", port=broker.port).model_dump()
+    findings = Findings()
+    await examine_broker(Config.model_validate({"mqtt": section}), findings)
+    (connection,) = [f for f in findings.all if f.check == "connection"]
+    assert connection.verdict == "missing"
+    assert "not authori" in connection.found.lower()
