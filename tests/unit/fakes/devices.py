@@ -380,6 +380,7 @@ class FakeVehicle:
     """How far the nose stands beside the heading that it was told, at a time."""
     refusals: int = 0
     turn_rate_deg_s: float = 45.0
+    turn_acceleration_deg_s2: float = 90.0
     # what happened
     turns: list[tuple[float, float]] = field(default_factory=list)
     _from_deg: float = math.nan
@@ -390,7 +391,9 @@ class FakeVehicle:
         """Where the nose points at a time, not wrapped."""
         if math.isnan(self._to_deg):
             return self.status.heading_deg
-        steady = _eased(self._from_deg, self._to_deg, at_s - self._since, self.turn_rate_deg_s, 90.0)
+        steady = _eased(
+            self._from_deg, self._to_deg, at_s - self._since, self.turn_rate_deg_s, self.turn_acceleration_deg_s2
+        )
         return steady + self.offset_deg(at_s)
 
     async def turn(self, heading_deg: float, rate_deg_s: float) -> None:

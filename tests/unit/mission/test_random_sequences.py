@@ -9,7 +9,7 @@ import asyncio
 import os
 import random
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
@@ -20,7 +20,7 @@ from panoexec.mission.control import CommandRefusedError
 from panoexec.mission.executor import Mission
 from panoexec.mission.record import MissionRecord, Verdict
 from panoexec.mission.settings import GuardSettings
-from panoexec.planning.model import GimbalLimits
+from panoexec.planning.model import GimbalLimits, Turning
 from panoexec.states import FINISHED
 from tests.unit.fakes.checks import check_mission
 from tests.unit.fakes.process import Process
@@ -36,6 +36,15 @@ FAST = GimbalLimits(
     pitch_acceleration_deg_s2=4000.0,
     yaw_acceleration_deg_s2=4000.0,
 )
+
+NOSE = replace(
+    FAST,
+    yaw_min_deg=0.0,
+    yaw_max_deg=0.0,
+    yaw_endless=False,
+    turning=Turning(rate_deg_s=720.0, acceleration_deg_s2=4000.0, settle_s=0.05),
+)
+"""Two axes: the vehicle pans."""
 
 
 def _set(target: str, **values: Any) -> Callable[[World], None]:
@@ -87,6 +96,8 @@ FAULTS: dict[str, tuple[Callable[[World], None], Callable[[World], None]]] = {
     "refused": (_set("gimbal", refusals=4), _set("gimbal", refusals=0)),
     "no control": (_set("gimbal", in_control=False, refuse_control=2), _set("gimbal", refuse_control=0)),
     "pilot": (_set("vehicle", mode="STABILIZED"), _set("vehicle", mode="OFFBOARD")),
+    "cannot turn": (_set("vehicle", mode="HOLD"), _set("vehicle", mode="OFFBOARD")),
+    "no turn": (lambda w: setattr(w.vehicle, "refusals", 4), lambda w: setattr(w.vehicle, "refusals", 0)),
     "landed": (_set("vehicle", in_air=False), _set("vehicle", in_air=True)),
     "battery": (_set("vehicle", battery_frac=0.1), _set("vehicle", battery_frac=0.9)),
     "position": (_set("vehicle", latitude_deg=47.0 + 4 * METRE), _set("vehicle", latitude_deg=47.0)),
@@ -185,6 +196,7 @@ async def _live(rng: random.Random, world: World, tally: Tally) -> MissionRecord
 
 async def _sequence(seed: int, tally: Tally) -> None:
     rng = random.Random(seed)
+    limits = NOSE if rng.random() < 0.15 else FAST
     settings = some_settings(
         settle_s=0.1,
         interval_s=0.2,
@@ -197,14 +209,20 @@ async def _sequence(seed: int, tally: Tally) -> None:
         pending=rng.choice([1, 1, 2]),
         accept=rng.choice(["tolerance", "tolerance", "overlap"]),
         min_evidence=rng.choice([EvidenceLevel.ACKNOWLEDGED, EvidenceLevel.CAPTURE_MESSAGE]),
-        gimbal=FAST,
+        gimbal=limits,
         guards=GuardSettings(
-            allowed_modes=("OFFBOARD",), reclaim=rng.choice(["ask", "never"]), reclaim_after_s=0.5, clear_s=0.3
+            allowed_modes=("OFFBOARD", "HOLD") if limits is NOSE else ("OFFBOARD",),
+            reclaim=rng.choice(["ask", "never"]),
+            reclaim_after_s=0.5,
+            clear_s=0.3,
         ),
     )
     plan = a_plan(rng.choice([1, 3, 4]))
-    async with a_world(plan=plan, settings=settings, rate_hz=20.0, limits=FAST, seed=seed) as world:
+    async with a_world(
+        plan=plan, settings=settings, rate_hz=20.0, limits=replace(limits, turning=None), seed=seed
+    ) as world:
         world.camera.remembers, world.camera.counts = rng.choice([(True, True), (False, True), (False, False)])
+        world.vehicle.turn_rate_deg_s, world.vehicle.turn_acceleration_deg_s2 = 720.0, 4000.0
         _prove_as_usual(world)
         for lives in range(1, 7):
             record = await _live(rng, world, tally)
@@ -277,7 +295,7 @@ def test_the_sequences_reached_what_they_are_for() -> None:
     if "PANOEXEC_SEED" in os.environ or TALLY.kills == 0:
         pytest.skip("looks at the sequences of the same run")
     assert TALLY.states >= {"complete", "incomplete", "aborted", "failed", "paused"}
-    assert TALLY.codes >= {"not_settled", "pointing", "no_samples", "trigger", "evidence", "gimbal", "crash"}
+    assert TALLY.codes >= {"not_settled", "pointing", "no_samples", "trigger", "evidence", "gimbal", "vehicle", "crash"}
     assert TALLY.kills > COUNT / 10
     assert TALLY.settled > COUNT / 200
     assert TALLY.filed > COUNT / 200
