@@ -1,4 +1,4 @@
-"""Watch a vehicle by MQTT: a progress bar and the last shots, until its mission ends or Ctrl-C.
+"""Watch a vehicle by MQTT: a map of the sphere, a progress bar and the last shots, until its mission ends or Ctrl-C.
 
 Exit codes, once a mission ended: 0 complete, 1 incomplete or aborted, 3 failed; 3 also if nothing was heard of the
 vehicle or there is no broker. With --all one line a vehicle, until Ctrl-C. With --json one document at the end, an
@@ -99,9 +99,13 @@ async def _listen(
     """Listen until the one vehicle's mission ends; for ever without a limit that could be brought forward."""
     async with aclosing(ground.listen(vehicle)) as messages:
         async for heard in messages:
-            one = vehicles.setdefault(heard.vehicle, Watched())
+            name = heard.vehicle
+            one = vehicles.setdefault(name, Watched())
             one.hear(heard.kind, heard.document)
-            view = fleet_view(vehicles) if vehicle is None else mission_view(heard.vehicle, one)
+            out = live.console
+            size = (out.width, out.height) if out.is_terminal else (0, 0)
+            colours = out.color_system is not None and not out.no_color
+            view = fleet_view(vehicles) if vehicle is None else mission_view(name, one, room=size, colours=colours)
             live.update(view, refresh=True)
             if vehicle is None or limit is None or not one.ended:
                 continue

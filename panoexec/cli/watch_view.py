@@ -12,6 +12,9 @@ from rich.table import Table
 from rich.text import Text
 
 from panoexec.cli.output import minutes
+from panoexec.cli.sphere_map import HEIGHT, WIDTH, Mark, SphereMap
+from panoexec.errors import InputFileError
+from panoexec.planfile import PlanFile, plan_from_data
 
 ENDED: Final = {"complete": 0, "incomplete": 1, "aborted": 1, "failed": 3}
 """States in which a mission is over, with the exit code of `watch`."""
@@ -44,6 +47,21 @@ _VERDICTS: Final = {
 }
 
 
+_MARKS: Final = {
+    "slewing": Mark.CURRENT,
+    "taken": Mark.CURRENT,
+    "accepted": Mark.DONE,
+    "again": Mark.AGAIN,
+    "rejected": Mark.AGAIN,
+    "interrupted": Mark.AGAIN,
+    "missed": Mark.MISSING,
+    "skipped": Mark.MISSING,
+}
+_ROOM_LINES: Final = 6
+_LEAST_ATTEMPTS: Final = 3
+"""Below the map there is room for so many at least, and for a few lines besides."""
+
+
 @dataclass(slots=True)
 class Attempt:
     """One attempt at a shot, as its events tell it."""
@@ -67,6 +85,9 @@ class Watched:
         ended: the state in which the mission that was watched ended; "" before.
         finished: the last event of that mission was heard.
         last: what happened last besides shots.
+        attempts: by shot and number, in the order in which they began.
+        plan: of the mission, None before it was heard.
+        sphere: draws it.
     """
 
     status: str = ""
@@ -76,6 +97,8 @@ class Watched:
     finished: bool = False
     last: str = ""
     attempts: dict[tuple[int, int], Attempt] = field(default_factory=dict)
+    plan: PlanFile | None = None
+    sphere: SphereMap | None = None
     _seen: set[str] = field(default_factory=set)
     _flying: bool = False
 
@@ -89,10 +112,32 @@ class Watched:
             if state in ENDED and self._flying:
                 self.ended = state
             self._flying = self._flying or state in _FLYING
+        elif kind == "plan":
+            self._take_plan(document)
         elif kind == "event" and isinstance(document, dict) and str(document.get("id")) not in self._seen:
             self._seen.add(str(document.get("id")))
             self.events.append(document)
             self._tell(document)
+
+    def _take_plan(self, document: Any) -> None:
+        try:
+            self.plan = plan_from_data(document, source="plan")
+        except InputFileError:  # none any more, or a stranger's
+            self.plan = None
+        camera = None if self.plan is None else self.plan.camera
+        self.sphere = None if camera is None else SphereMap(camera)
+
+    def marks(self) -> dict[int, Mark]:
+        """What the map shows of each shot, as far as its attempts were heard."""
+        out: dict[int, Mark] = {}
+        for (shot, number), attempt in self.attempts.items():
+            again = out.get(shot) in (Mark.DONE, Mark.RETAKEN)  # the earlier photo counts until a new one does
+            mark = _MARKS.get(attempt.verdict, Mark.TODO)
+            if mark is Mark.DONE and number > 1:
+                mark = Mark.RETAKEN
+            if not (again and mark in (Mark.AGAIN, Mark.TODO)):
+                out[shot] = mark
+        return out
 
     def _tell(self, event: Mapping[str, Any]) -> None:
         kind = str(event.get("type"))
@@ -114,8 +159,15 @@ class Watched:
             one.reason = str(event.get("reason") or "")
 
 
-def mission_view(name: str, one: Watched) -> Group:
-    """One vehicle: where its mission stands, and the last attempts."""
+def mission_view(name: str, one: Watched, *, room: tuple[int, int] = (0, 0), colours: bool = False) -> Group:
+    """One vehicle: where its mission stands, and the last attempts.
+
+    Args:
+        name: its id.
+        one: what was heard.
+        room: columns and lines of the terminal: with enough of both, the sphere is drawn too.
+        colours: of the sphere.
+    """
     state = one.state
     total, done = state.get("shots_total") or 0, state.get("shots_done") or 0
     head = Table.grid(padding=(0, 2))
@@ -126,6 +178,15 @@ def mission_view(name: str, one: Watched) -> Group:
         Text(str(state.get("reason") or "")),
     )
     parts: list[RenderableType] = [head]
+    most = _LAST_ATTEMPTS
+    if (
+        one.sphere is not None
+        and one.plan is not None
+        and room[0] >= WIDTH
+        and room[1] >= HEIGHT + _ROOM_LINES + _LEAST_ATTEMPTS
+    ):
+        most = min(most, room[1] - HEIGHT - _ROOM_LINES)
+        parts.insert(0, one.sphere.text(one.plan.shots, one.marks(), colours=colours))
     if total:
         bar = Table.grid(padding=(0, 2))
         eta = state.get("eta_s")
@@ -138,17 +199,17 @@ def mission_view(name: str, one: Watched) -> Group:
         parts.append(bar)
     parts.append(Text(_links(state), style="dim"))
     if one.attempts:
-        parts.append(_attempts(one))
+        parts.append(_attempts(one, most))
     if one.last:
         parts.append(Text(one.last))
     return Group(*parts)
 
 
-def _attempts(one: Watched) -> Table:
+def _attempts(one: Watched, most: int) -> Table:
     table = Table(box=None, padding=(0, 2), pad_edge=False)
     for column in ("shot", "attempt", "pitch, yaw", "verdict", "error p r y", "reason"):
         table.add_column(column, justify="right" if column in ("shot", "attempt") else "left")
-    for attempt in list(one.attempts.values())[-_LAST_ATTEMPTS:]:
+    for attempt in list(one.attempts.values())[-most:]:
         table.add_row(
             str(attempt.shot),
             str(attempt.number),

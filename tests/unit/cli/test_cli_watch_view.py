@@ -7,7 +7,10 @@ from typing import Any
 import pytest
 from rich.console import Console, RenderableType
 
+from panoexec.camera_profiles import load_profile
+from panoexec.cli.sphere_map import LEGEND, Mark
 from panoexec.cli.watch_view import Watched, fleet_view, mission_view
+from panoexec.planfile import camera_to_data
 
 LINKS = {name: {"ok": name != "camera", "age_s": 0.1} for name in ("autopilot", "gimbal", "camera")}
 STATE: dict[str, Any] = {
@@ -62,6 +65,32 @@ def test_a_mission_is_shown_with_progress_and_the_last_attempts() -> None:
     assert "accepted" in rows[1]
     assert "mission paused: the sun is gone" in text
     assert len(one.events) == 7, "an event that comes twice counts once"
+
+
+def test_the_sphere_is_drawn_where_there_is_room() -> None:
+    one = Watched()
+    camera = camera_to_data(load_profile("dji-x5s-15mm").camera)
+    shots = [{"index": n, "row": 0, "pitch_deg": -20, "yaw_deg": 60 * n - 150} for n in range(6)]
+    one.hear("plan", {"shots": shots, "camera": camera})
+    for number, (kind, shot, attempt) in enumerate(
+        (
+            *(("shot_accepted", 0, 1), ("shot_rejected", 1, 1), ("shot_accepted", 1, 2), ("shot_missed", 2, 1)),
+            *(("shot_rejected", 3, 1), ("shot_started", 4, 1)),
+        )
+    ):
+        one.hear("event", event(kind, number, shot=shot, attempt=attempt))
+    assert one.marks() == {0: Mark.DONE, 1: Mark.RETAKEN, 2: Mark.MISSING, 3: Mark.AGAIN, 4: Mark.CURRENT}
+    text = shown(mission_view("drone", one, room=(100, 50)))
+    for mark in (Mark.DONE, Mark.RETAKEN, Mark.MISSING, Mark.AGAIN, Mark.CURRENT, Mark.TODO):
+        assert LEGEND[mark][1] in text
+    for room in ((40, 50), (100, 20)):
+        assert LEGEND[Mark.DONE][1] * 3 not in shown(mission_view("drone", one, room=room))
+    one.hear("event", event("shot_started", 90, shot=0, attempt=2))
+    assert one.marks()[0] is Mark.CURRENT
+    one.hear("event", event("shot_rejected", 91, shot=0, attempt=2))
+    assert one.marks()[0] is Mark.DONE, "the earlier photo counts until a new one does"
+    one.hear("plan", None)
+    assert one.sphere is None
 
 
 def test_only_the_last_attempts_are_shown_and_a_new_mission_begins_anew() -> None:
