@@ -37,15 +37,19 @@ class Broker:
         settings: str = "allow_anonymous true",
         persistent: bool = False,
         verbose: bool = True,
+        port: int | None = None,
+        whole: str = "",
     ) -> None:
-        self.port = free_tcp_port()
+        self.port = port or free_tcp_port()
         self._verbose = ["-v"] if verbose else []
         self.log = folder / "mosquitto.log"
         self._config = folder / "mosquitto.conf"
         user = "user root\n" if os.geteuid() == 0 else ""
         kept = f"true\npersistence_location {folder}/" if persistent else "false"
         self._config.write_text(
-            f"listener {self.port} 127.0.0.1\n{listener}\n{user}persistence {kept}\n"
+            f"{user}{whole}\n"
+            if whole
+            else f"listener {self.port} 127.0.0.1\n{listener}\n{user}persistence {kept}\n"
             f"max_inflight_messages 0\nmax_queued_messages 100000\n{settings}\n"
         )
         self._process: subprocess.Popen[bytes] | None = None
@@ -97,9 +101,16 @@ def running_broker(
     settings: str = "allow_anonymous true",
     persistent: bool = False,
     verbose: bool = True,
+    port: int | None = None,
+    whole: str = "",
 ) -> Iterator[Broker]:
-    """A broker while the block runs; a `persistent` one keeps sessions and what is retained when it is stopped."""
-    broker = Broker(folder, listener=listener, settings=settings, persistent=persistent, verbose=verbose)
+    """A broker while the block runs; a `persistent` one keeps sessions and what is retained when it is stopped.
+
+    With `whole`, a configuration file's text for `port`, the other options do not count.
+    """
+    broker = Broker(
+        folder, listener=listener, settings=settings, persistent=persistent, verbose=verbose, port=port, whole=whole
+    )
     broker.start()
     try:
         yield broker

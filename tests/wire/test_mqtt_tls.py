@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,7 @@ from panoexec.errors import LinkError, UsageError
 from panoexec.mqtt.certificates import certificate_validity, explained
 from panoexec.mqtt.ground import GroundStation
 from panoexec.mqtt.link import Incoming, MqttLink, running
-from tests.wire.broker import Broker, eventually, needs_mosquitto, running_broker
+from tests.wire.broker import PATH, Broker, eventually, free_tcp_port, needs_mosquitto, running_broker
 from tests.wire.certificates import Authority, Issued, needs_openssl
 
 pytestmark = [needs_mosquitto, needs_openssl]
@@ -147,3 +149,45 @@ def test_only_what_is_known_is_explained() -> None:
     text = "[SSL: CERTIFICATE_VERIFY_FAILED] certificate verify failed: unable to get local issuer certificate"
     assert explained(text, settings) == f"the broker's certificate is not signed by mqtt.ca_file ca.crt ({text})"
     assert explained("Connection refused", settings) == "Connection refused"
+
+
+async def test_the_shipped_configuration_of_the_broker_as_it_is(authority: Authority, tmp_path: Path) -> None:
+    """Only its paths and ports are others: TLS outside, plain on the machine itself, nobody without a password."""
+    certificate, tool = authority.issue("127.0.0.1"), shutil.which("mosquitto_passwd", path=PATH)
+    assert tool is not None
+    (tmp_path / "passwd").write_text("drone:secret-drone\nground:secret-ground\n")
+    await asyncio.to_thread(subprocess.run, [tool, "-U", str(tmp_path / "passwd")], check=True)
+    shutil.copy(ACL, tmp_path / "mosquitto.acl")
+    outside, inside = free_tcp_port(), free_tcp_port()
+    text = ACL.with_name("mosquitto.conf").read_text(encoding="utf-8")
+    for shipped, here in {
+        "/etc/mosquitto/certs/ca.crt": str(authority.cert),
+        "/etc/mosquitto/certs/broker.crt": str(certificate.cert),
+        "/etc/mosquitto/certs/broker.key": str(certificate.key),
+        "/etc/mosquitto": str(tmp_path),
+        "/var/lib/mosquitto/": f"{tmp_path}/",
+        "listener 8883": f"listener {outside} 127.0.0.1",
+        "listener 1883 127.0.0.1": f"listener {inside} 127.0.0.1",
+    }.items():
+        text = "\n".join(line if line.startswith("#") else line.replace(shipped, here) for line in text.splitlines())
+    with running_broker(tmp_path, port=outside, whole=text):
+        for port, ca in ((outside, authority.cert), (inside, None)):
+            requests: list[Incoming] = []
+            drone, ground = (known(tmp_path, user, port, ca) for user in ("drone", "ground"))
+            link = MqttLink(drone, vehicle="drone", on_request=requests.append)
+            async with running(link), GroundStation(ground) as station:
+                await eventually(lambda link=link: link.connected, 60)
+                with pytest.raises(LinkError, match="did not answer"):
+                    await station.request("drone", "get", {}, timeout_s=1.0)
+                assert [request.command for request in requests] == ["get"]
+            with pytest.raises(LinkError, match=r"[Nn]ot authori[sz]ed"):
+                async with GroundStation(MqttSection(host="127.0.0.1", port=port, ca_file=ca)):
+                    pass
+
+
+def known(folder: Path, user: str, port: int, ca: Path | None) -> MqttSection:
+    """A user's settings."""
+    password = folder / f"password-{user}"
+    password.write_text(f"secret-{user}")
+    password.chmod(0o600)
+    return MqttSection(host="127.0.0.1", port=port, ca_file=ca, username=user, password_file=password)
