@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Plan, write what was asked for, show it."""
     exports = [_export_target(text) for text in args.export]
-    _check_targets([args.output, args.plot, *(path for _, path in exports)])
+    check_targets([args.output, args.plot, *(path for _, path in exports)])
     if args.plot:
         check_plot_path(args.plot)
     profile = profile_of(args)
@@ -178,7 +178,7 @@ def _export_target(text: str) -> tuple[str, Path]:
     return name, Path(file)
 
 
-def _check_targets(paths: Sequence[Path | None]) -> None:
+def check_targets(paths: Sequence[Path | None]) -> None:
     """Refuse before any work what could not be written after it."""
     for path in paths:
         if path is None:

@@ -1,10 +1,13 @@
 """Judge a plan file, ours or not: does it cover the band whatever the pointing errors, and do its images overlap?
 
 What the file does not say (a foreign file names poses only) is given by options; options also override the file.
+In place of a file, the name of one of the paper's published plans: scenario-1-proposed, scenario-1-hdrpano,
+scenario-2-proposed, scenario-2-hdrpano, scenario-3-proposed.
 Exit code 1: the plan is not certified.
 
 Example:
   panoexec verify plan.json --tolerance-yaw 1.0
+  panoexec verify scenario-2-hdrpano --plot hole.png
 """
 
 from __future__ import annotations
@@ -14,36 +17,41 @@ from dataclasses import replace
 from pathlib import Path
 
 from panoexec.cli.output import note, print_facts, print_json
-from panoexec.cli.plan import certificate_facts
+from panoexec.cli.plan import certificate_facts, check_targets
 from panoexec.cli.planning_options import add_camera_arguments, add_constraint_arguments, constraints_of, profile_of
-from panoexec.planfile import camera_to_data, certificate_to_data, read_plan_file
+from panoexec.planfile import camera_to_data, certificate_to_data, read_plan_file, write_plan
 from panoexec.planning.certificate import certify
+from panoexec.planning.model import Plan
+from panoexec.planning.published import PUBLISHED, published_plan
 from panoexec.planning.request import check_request
 from panoexec.plotting import check_plot_path, plot_plan
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
-    parser.add_argument("plan", type=Path, metavar="PLAN.json")
+    parser.add_argument("plan", type=Path, metavar="PLAN.json|NAME", help="a plan file, or a published plan")
     add_camera_arguments(parser, required=False)
     add_constraint_arguments(parser)
     output = parser.add_argument_group("output")
+    output.add_argument("--output", type=Path, metavar="PLAN.json", help="write the plan with its verdict")
     output.add_argument("--plot", type=Path, metavar="FILE.png|.svg", help="draw the footprints and what fails")
     output.add_argument("--json", action="store_true", help="one JSON document on stdout")
 
 
 def run(args: argparse.Namespace) -> int:
     """Certify and show the verdict."""
+    check_targets([args.output, args.plot])
     if args.plot:
         check_plot_path(args.plot)
-    file = read_plan_file(args.plan)
-    plan = file.plan(
-        camera=profile_of(args).camera if args.camera else None, constraints=constraints_of(args, file.constraints)
-    )
+    plan = _plan(args)
     check_request(plan.camera, plan.constraints)
     certificate = certify(plan)
+    judged = replace(plan, certificate=certificate)
+    if args.output:
+        write_plan(args.output, judged)
+        note(f"wrote {args.output}")
     if args.plot:
-        plot_plan(replace(plan, certificate=certificate), args.plot)
+        plot_plan(judged, args.plot)
         note(f"wrote {args.plot}")
     if args.json:
         print_json(
@@ -54,3 +62,15 @@ def run(args: argparse.Namespace) -> int:
         print_facts([("plan", f"{args.plan}: {len(plan.shots)} images of {plan.camera.name}")])
         print_facts(certificate_facts(certificate))
     return 0 if certificate.certified else 1
+
+
+def _plan(args: argparse.Namespace) -> Plan:
+    """The plan named, with the camera and the constraints asked for."""
+    camera = profile_of(args).camera if args.camera else None
+    if str(args.plan) in PUBLISHED and not args.plan.exists():
+        published = published_plan(str(args.plan))
+        return replace(
+            published, camera=camera or published.camera, constraints=constraints_of(args, published.constraints)
+        )
+    file = read_plan_file(args.plan)
+    return file.plan(camera=camera, constraints=constraints_of(args, file.constraints))
