@@ -11,6 +11,7 @@ from panoexec.angles import rotation
 from panoexec.errors import PlanningError
 from panoexec.optics import Camera
 from panoexec.planning.adjacency import MUTUAL_OVERLAP
+from panoexec.planning.domain import Domain
 from panoexec.planning.model import NO_TOLERANCE, Constraints, GimbalLimits, Tolerance
 from panoexec.planning.robust import robust_cores
 from panoexec.planning.row_family import MOST_IN_A_ROW, NeighbourDemand
@@ -21,6 +22,10 @@ from panoexec.planning.variants import worst_loss
 _PITCHES_DEG = (0.0, -30.0, -60.0, -90.0)
 _COUNTS_TRIED = 12
 _STEPS = 40
+
+_BISECTIONS = 5
+_MOST_SEEN = 100
+"""A direction that more images than this see is no panorama's need, and pairs of images grow with its square."""
 
 _WIDTH = 4
 """Of searches that only have to tell whether there is a way at all."""
@@ -37,6 +42,15 @@ def refusal(camera: Camera, constraints: Constraints) -> PlanningError:
     )
 
 
+def nothing_to_cover(constraints: Constraints) -> str | None:
+    """Why there is nothing to plan; None if there is something to cover."""
+    if not constraints.masks:
+        return None
+    if len(Domain.of(constraints.band, constraints.masks).cell_centres()):
+        return None
+    return "the masks leave nothing of the band to cover: ask for a larger band or smaller masks"
+
+
 def too_dense(camera: Camera, constraints: Constraints) -> str | None:
     """Why the overlaps ask for more images than anybody takes; None if they do not."""
     exact = NeighbourDemand(planned=constraints.overlap_h, worst=0.0, tolerance=NO_TOLERANCE)
@@ -48,6 +62,12 @@ def too_dense(camera: Camera, constraints: Constraints) -> str | None:
         return (
             f"horizontal overlap {constraints.overlap_h:g} takes more than {MOST_IN_A_ROW} images in one row: "
             "ask for less overlap"
+        )
+    seen = 1 / ((1 - constraints.overlap_h) * (1 - constraints.overlap_v))
+    if seen > _MOST_SEEN * (1 + 1e-9):
+        return (
+            f"overlaps of {constraints.overlap_h:g} in rows and {constraints.overlap_v:g} between them show each "
+            f"direction in about {seen:.0f} images, {seen - _MOST_SEEN:.0f} more than panoexec plans: ask for less"
         )
     step = camera.vfov_deg / 2 + math.degrees(math.atan(camera.half_height * (1 - 2 * constraints.overlap_v)))
     rows = (band.elevation_max_deg - band.elevation_min_deg) / max(step, 1e-12)
@@ -145,7 +165,7 @@ def _overlap(camera: Camera, constraints: Constraints) -> str | None:
 
 def _most_overlap(camera: Camera, constraints: Constraints, name: str) -> float:
     low, high = 0.0, constraints.overlap_h if name == "horizontal" else constraints.overlap_v
-    for _ in range(8):
+    for _ in range(_BISECTIONS):
         middle = (low + high) / 2
         changed = (
             replace(constraints, gimbal=None, overlap_h=middle)
@@ -162,7 +182,7 @@ def _tolerance(camera: Camera, constraints: Constraints) -> str | None:
         return None
     t = constraints.tolerance
     low, high = 0.0, 1.0
-    for _ in range(8):
+    for _ in range(_BISECTIONS):
         middle = (low + high) / 2
         less = replace(t, pitch_deg=t.pitch_deg * middle, roll_deg=t.roll_deg * middle, yaw_deg=t.yaw_deg * middle)
         feasible = _feasible(camera, replace(constraints, tolerance=less))

@@ -19,11 +19,11 @@ from panoexec.planning.row_rules import RowRules
 from panoexec.planning.row_search import FEW
 from panoexec.planning.row_steps import highest_pitch
 
-_RUNGS = (0.3, 0.6, 0.8, 0.9, 1.0)
+_RUNGS = (0.3, 0.6, 0.8, 0.92, 0.99)
 """Parts of the margin that the slack seems good for."""
 
 _MOST_MARGIN = 0.4
-_LOWEST_NODES = 33
+_LOWEST_NODES, _CENTRED_NODES = 33, 400
 _FLATTEST_END_DEG = 89.9
 """Beyond this the end of a band is a pole: there is nothing to reach over."""
 
@@ -62,6 +62,8 @@ def polish(rules: RowRules, path: Sequence[tuple[float, int]], least_margin: flo
     Returns:
         The rows; None if they do not reach the top of the band with `least_margin`.
     """
+    if len(path) == 1 and all(_free_ends(rules)):
+        return _centred(rules, *path[0], least_margin)
     extra = np.array([0.0, *(part * _promising(rules, path) for part in _RUNGS)])
     pitches = _climb(rules, path, least_margin + extra, extra)
     good = np.nonzero(_reaches(rules, path[-1][1], pitches[-1], extra))[0]
@@ -75,6 +77,17 @@ def polish(rules: RowRules, path: Sequence[tuple[float, int]], least_margin: flo
         phase_deg=_phases(rules, pitches[:, last], counts),
         margin=float(least_margin + extra[last]),
     )
+
+
+def _centred(rules: RowRules, pitch_deg: float, count: int, margin: float) -> Rows:
+    """A single row, no higher than given, that reaches as far over one end of the band as over the other."""
+    height = rules.camera.vfov_deg
+    floor, _ = rules.zone_of(pitch_deg, count)
+    pitch = np.linspace(max(floor, pitch_deg - height), pitch_deg, _CENTRED_NODES)
+    low, high = rules.band(pitch, np.full(len(pitch), count))
+    over = np.minimum(rules.band_deg[0] - low, high - rules.band_deg[1])
+    best = float(pitch[int(np.argmax(over))])
+    return Rows(pitch_deg=(best,), count=(count,), phase_deg=(0.0,), margin=margin)
 
 
 def _promising(rules: RowRules, path: Sequence[tuple[float, int]]) -> float:

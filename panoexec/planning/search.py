@@ -25,7 +25,7 @@ from panoexec.planning.bound import least_images
 from panoexec.planning.certificate import certify, certify_poses
 from panoexec.planning.duration import estimate
 from panoexec.planning.model import Certificate, Constraints, GimbalLimits, Plan, Shot, Timing
-from panoexec.planning.refusal import refusal, tolerance_eats_image, too_dense
+from panoexec.planning.refusal import nothing_to_cover, refusal, tolerance_eats_image, too_dense
 from panoexec.planning.request import MAX_IMAGES, check_request
 from panoexec.planning.row_polish import Rows, polish
 from panoexec.planning.row_rules import RowRules
@@ -77,7 +77,8 @@ def plan_certified(
         PlanningError: nothing can be planned; the message names the constraint and by how much it fails.
     """
     check_request(camera, constraints)
-    hopeless = too_dense(camera, constraints) or tolerance_eats_image(camera, constraints)
+    hopeless = nothing_to_cover(constraints) or too_dense(camera, constraints)
+    hopeless = hopeless or tolerance_eats_image(camera, constraints)
     if hopeless:
         raise PlanningError(hopeless)
     found = _Planner(camera, constraints).best()
