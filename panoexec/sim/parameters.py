@@ -24,6 +24,7 @@ class Parameters:
                 "MNT1_YAW_MAX": gimbal.yaw.max_deg,
                 "MNT1_RC_RATE": 0.0,
                 "CAM1_TYPE": 0 if config.camera_kind == "mavlink" else 1,
+                "CAM1_FEEDBAK_PIN": -1.0,
             }
         else:
             self._values = {"MAV_SYS_ID": config.system_id, "MNT_MODE_IN": 4, "MNT_MODE_OUT": 2}
