@@ -146,7 +146,7 @@ class PoseReader:
     def __init__(self, *, feed: AttitudeFeed, reference_yaw_north_deg: float) -> None:
         self._feed = feed
         self._reference = reference_yaw_north_deg
-        self._readings: deque[Reading] = deque(maxlen=4096)
+        self._readings: deque[Reading] = deque(maxlen=2048)
         self._newest_s = -math.inf
         self._newest: AttitudeSample | None = None
         self._last: Quaternion | None = None

@@ -18,6 +18,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import panoexec.cli.lean  # noqa: F401  (first: see there)
+from panoexec.cli.one_heap import use_one_heap
 from panoexec.cli.planning_options import positive
 from panoexec.clock import SystemClock
 from panoexec.config import Config, load_config
@@ -44,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run until SIGTERM."""
+    use_one_heap()
     try:
         config = checked_config(args.config, os.environ)
         configure_logs(config.log.level, config.log.format)

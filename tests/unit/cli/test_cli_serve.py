@@ -23,6 +23,27 @@ def test_rich_is_there_for_those_who_draw() -> None:
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
+def test_threads_share_one_heap_where_the_c_library_can() -> None:
+    program = """
+import ctypes, os, sys, threading
+from panoexec.cli.one_heap import use_one_heap
+done = use_one_heap()
+gate = threading.Barrier(5)
+def work():
+    gate.wait()
+    kept = [ctypes.create_string_buffer(200_000 // 4) for _ in range(8)]
+    gate.wait()
+threads = [threading.Thread(target=work) for _ in range(4)]
+[t.start() for t in threads]
+gate.wait(); gate.wait()
+[t.join() for t in threads]
+if done:
+    ctypes.CDLL(None).malloc_stats()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stderr.count("Arena") <= 1
+
+
 @pytest.mark.parametrize(("under_systemd", "code"), [(False, 2), (True, 78)])
 @pytest.mark.parametrize(
     ("key", "value", "part"),
