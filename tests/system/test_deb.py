@@ -151,7 +151,7 @@ async def test_killed_in_a_mission_it_is_restarted_and_goes_on(machine: Machine)
         assert int(show("NRestarts")) == restarts + 1
         assert ground.state["mission_id"] == start["data"]["mission_id"]
     mission = STATE / "missions" / start["data"]["mission_id"]
-    assert json.loads((mission / "manifest.json").read_text())["state"] == "complete"
+    wait("manifest", lambda: _manifest(start)["state"] == "complete")
     wait("files for stitchers", (mission / "panorama.pto").exists)
 
 
@@ -183,7 +183,7 @@ async def test_stopped_in_a_mission_it_says_offline_and_leaves_it_to_be_resumed(
         await ground.until(lambda: all(link["ok"] for link in ground.state["link"].values()))
         assert (await ground.ask("resume", "go on"))["status"] == "ok"
         await ground.until(lambda: ground.state["state"] == "complete", 120)
-    assert _manifest(start)["state"] == "complete"
+    wait("manifest", lambda: _manifest(start)["state"] == "complete")
 
 
 def _manifest(start: dict[str, Any]) -> dict[str, Any]:
