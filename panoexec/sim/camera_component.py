@@ -106,6 +106,7 @@ class CameraComponent:
         self._captured: dict[int, Message] = {}
         self._last_photo: PhotoCommand | None = None
         self._sequence_left = 0
+        self._is_there = False
         self._actions: dict[int, Callable[[Command], int | None]] = {
             mavlink.MAV_CMD_IMAGE_START_CAPTURE: self._start_capture,
             mavlink.MAV_CMD_IMAGE_STOP_CAPTURE: self._stop_capture,
@@ -131,7 +132,15 @@ class CameraComponent:
 
     def start(self) -> None:
         """Start the heartbeat."""
+        self._is_there = True
         self._component.start(phase_s=0.6)
+
+    def set_storage_full(self, *, full: bool) -> None:
+        """Fill the storage, or make room again; said unasked, as the protocol wants it of every change (261)."""
+        if full != self.model.storage_full:
+            self.model.storage_full = full
+            if self._is_there:
+                self._component.send(self._storage())
 
     def receive(self, message: Message) -> None:
         """Take one message."""

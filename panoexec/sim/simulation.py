@@ -161,7 +161,7 @@ class Simulation:
         wind = self.config.airframe.wind_m_s + (faults.size("gust") if faults.active("gust", now) else 0.0)
         self.physics.wind_m_s = self.airframe.wind_m_s = wind
         full = faults.active("storage-full", now)
-        self.payload.camera.model.storage_full = full
+        self.payload.camera.set_storage_full(full=full)
         if faults.fires("clock-jump", now):
             self.clock.jump_s += faults.size("clock-jump")
         if faults.fires("battery-low", now):

@@ -111,7 +111,9 @@ ALL_FAULTS = {
 }
 
 
-@pytest.mark.skipif("PANOEXEC_ALL_FAULTS" not in os.environ, reason="PANOEXEC_ALL_FAULTS=1 flies all of them (6 min)")
+@pytest.mark.skipif(
+    "PANOEXEC_ALL_FAULTS" not in os.environ, reason="PANOEXEC_ALL_FAULTS=1 flies all of them (2 to 4 min)"
+)
 @pytest.mark.parametrize("fault", ALL_FAULTS)
 async def test_each_fault_ends_as_documented(tmp_path: Path, fault: str) -> None:
     summary, _ = await _fly(_options(tmp_path, fault))

@@ -213,6 +213,13 @@ def test_the_storage_is_full() -> None:
     assert bench.request("STORAGE_INFORMATION", 100).available_capacity == 0.0
 
 
+def test_a_camera_says_unasked_that_its_storage_is_full_and_that_it_is_not_any_more() -> None:
+    """As the protocol wants it: who asks every few real seconds learns it late of a sped-up vehicle."""
+    bench = Bench("storage-full=1+4")
+    told = [item.message for item in bench.shoot(7.0)[1] if item.name == "STORAGE_INFORMATION"]
+    assert [message.available_capacity > 0 for message in told] == [False, True]
+
+
 def test_the_battery_is_low() -> None:
     bench = Bench("battery-low=1,x0.07")
     assert bench.request("SYS_STATUS").battery_remaining > 90
