@@ -18,6 +18,8 @@ _FRESH_S: Final = 1.0
 """An autopilot's heading older than this is none."""
 _SAME_MOMENT_S: Final = 0.03
 """Headings further apart in time tell nothing of the difference; a nose that turns would be taken for drift."""
+_EARLY_S: Final = 0.1
+"""One from so far ahead of a gimbal's report counts as one of its moment."""
 _JUMP_DEG: Final = 20.0
 """A difference that changes by more than jitter and drift can (the gimbal has set its heading anew)."""
 
@@ -47,7 +49,8 @@ class HeadingBlend:
         Returns:
             Degrees; NaN if it is not told, or cannot be checked against the autopilot's.
         """
-        fresh = 0 <= received_s - self._vehicle_s <= _FRESH_S
+        # the clocks of two senders are known to some milliseconds: the autopilot's word may seem to be the later one
+        fresh = -_EARLY_S <= received_s - self._vehicle_s <= _FRESH_S
         if heading_deg == 0 or not math.isfinite(heading_deg) or not fresh or math.isnan(self._vehicle_deg):
             self._drift_deg = math.nan
             return math.nan

@@ -78,3 +78,11 @@ def test_an_autopilot_that_tells_its_heading_seldom_is_compared_only_at_its_mome
         if step > 1000:
             worst = max(worst, abs(wrapped(out - heading)))
     assert worst < 0.25
+
+
+@pytest.mark.parametrize(("early_s", "known"), [(0.0, True), (0.05, True), (0.5, False)])
+def test_an_autopilots_word_that_seems_a_little_later_counts(early_s: float, known: bool) -> None:
+    """The two senders' clocks are known to some milliseconds only."""
+    blend = HeadingBlend()
+    blend.vehicle(30.0, 10.0 + early_s)
+    assert math.isfinite(blend.gimbal(31.0, 10.0)) is known
