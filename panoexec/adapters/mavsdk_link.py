@@ -84,7 +84,7 @@ class MavsdkLink:
             vehicle_system_id: which vehicle, where one connection carries several; None takes the first.
             streams: messages to ask for.
             patient: a serial device or a host that is absent when the link is opened is waited for, not an error.
-            sparing: look at fast streams only twice a second (of real time) while no mission flies.
+            sparing: look at fast streams only twice a second (of real time) from `use_rates(active=False)` on.
 
         Raises:
             UsageError: the URL is wrong.
@@ -445,7 +445,8 @@ class MavsdkLink:
         self._heartbeat_s = time.monotonic()
         self._session.system = system
         self._hub.attach(self.plugin(MavlinkDirect))
-        await self.use_rates(active=self.streams.active)
+        # nothing is spared before somebody says that nothing flies: what looks for devices needs to hear them all
+        await self.streams.ask()
         for callback in tuple(self._on_attached):
             callback()
         _log.info("autopilot found", url=str(self.url), system_id=vehicle)

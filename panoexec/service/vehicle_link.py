@@ -128,6 +128,7 @@ class VehicleLink:
             self._vehicle = await stack.enter_async_context(MavsdkVehicle(link))
             await self._find(link, self._gimbal)
             self._camera = await stack.enter_async_context(self._opened_camera(link))
+            await link.use_rates(active=False)
             self.devices = Devices(gimbal=self._gimbal, camera=self._camera, vehicle=self._vehicle)
             self.reason = ""
             _log.info("vehicle ready", url=str(url))

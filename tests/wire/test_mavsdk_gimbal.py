@@ -296,6 +296,7 @@ async def test_a_daemon_that_waits_looks_only_now_and_then(gimbal_autopilot: Gim
         MavsdkGimbal(link) as gimbal,
     ):
         await link.wait_autopilot(10)
+        await link.use_rates(active=False)
         own = 0
         async with asyncio.timeout(20):
             while len(gimbal.feed.since(0.0)) < 3:
