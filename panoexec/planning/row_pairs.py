@@ -127,7 +127,9 @@ class PairMargin:
                 self._shared_open(grain, high, low) - pairs.high_demand,
             )
             return _any_phase(least)
-        by_low, by_high = self._shared(grain, pairs.low_deg, *high), self._shared(grain, pairs.high_deg, *low)
+        # both ways in one go, as small batches cost as much as large ones
+        rows = (np.concatenate(both) for both in zip(high, low, strict=True))
+        by_low, by_high = np.split(self._shared(grain, np.concatenate([pairs.low_deg, pairs.high_deg]), *rows), 2)
         if self._layout.is_even:
             common = np.gcd(pairs.low_count, pairs.high_count)
             least_low = _by_phase(by_low, pairs.low_count // common)
@@ -190,20 +192,24 @@ class PairMargin:
     ) -> FloatArray:
         row_deg, spacing_deg, count = row
         position = np.linspace(0.0, 0.5, positions)
-        most = self._reaching(pitch_deg, row_deg, spacing_deg, count)
+        # no more than can meet the image, whatever the others of the batch need: what is far around is not told apart
+        near = self._reaching(pitch_deg, row_deg, spacing_deg, count)[:, None]
+        most = int(near.max(initial=1))
         steps = np.arange(most) - (most - 1) // 2
-        used = (steps >= -((count[:, None] - 1) // 2)) & (steps <= count[:, None] // 2)
+        used = (steps >= -((near - 1) // 2)) & (steps <= near // 2)
         yaws = (position[None, :, None] + np.where(used, steps, np.nan)[:, None, :]) * spacing_deg[:, None, None]
         shared = seen(
             self._camera, np.repeat(pitch_deg, positions), np.repeat(row_deg, positions), yaws.reshape(-1, most)
         )
         return shared.reshape(len(pitch_deg), positions)
 
-    def _reaching(self, pitch_deg: FloatArray, row_deg: FloatArray, spacing_deg: FloatArray, count: IntArray) -> int:
-        """How many images of the next row could meet an image, at most."""
+    def _reaching(
+        self, pitch_deg: FloatArray, row_deg: FloatArray, spacing_deg: FloatArray, count: IntArray
+    ) -> IntArray:
+        """How many images of the next row could meet an image (k,), at most."""
         reach = self._half_azimuth(pitch_deg) + self._half_azimuth(row_deg)
         near = 2 * np.maximum(np.ceil(reach / np.maximum(spacing_deg, 1e-9)) - 1, 1) + 1
-        return int(np.minimum(near, count).max(initial=1))
+        return np.asarray(np.minimum(near, count).astype(np.intp))
 
     def _half_azimuth(self, pitch_deg: FloatArray) -> FloatArray:
         """Half the azimuths that an image takes."""
@@ -243,7 +249,8 @@ class PairMargin:
         other = (np.arange(most) - (row_count[:, None] - 1) / 2) * row_spacing_deg[:, None]
         other = np.where(np.arange(most) < row_count[:, None], other, np.nan)
         yaws = other[:, None, :] - own[:, :, None]
-        near = min(most, self._reaching(pitch_deg, row_deg, np.maximum(row_spacing_deg, 1e-3), row_count))
+        reaching = self._reaching(pitch_deg, row_deg, np.maximum(row_spacing_deg, 1e-3), row_count)
+        near = min(most, int(reaching.max(initial=1)))
         order = np.argsort(np.abs(yaws), axis=2)[:, :, :near]
         yaws = np.sort(np.take_along_axis(yaws, order, axis=2), axis=2)
         shape = yaws.shape[:2]

@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from panoexec.planning.row_cover import CoreEdges
 from panoexec.planning.row_rules import RowRules
 from panoexec.planning.row_steps import highest_pitch
 
@@ -18,6 +19,9 @@ _SEAMS = (0.0, 0.08, 0.2, 0.35, 0.5, 0.65)
 _PITCHES_DEG = (-62.0, -37.0, -9.0)
 _FEW_IMAGES = 14
 """Where the longest rows have so few images, the search tries all numbers of images worth trying anyway."""
+
+_ENOUGH = 0.65
+"""Rows that keep so much of their height at the seams lose nothing there."""
 
 _WORTH = 0.99
 _TALL_DEG = 60.0
@@ -31,9 +35,14 @@ def with_best_seam(rules: RowRules) -> RowRules:
         return rules
     if int(rules.fewest(np.zeros(1))[0]) <= _FEW_IMAGES:
         return rules
+    pitch = np.array(_PITCHES_DEG)
+    spacing = 360.0 / rules.fewest(pitch)
+    edges = CoreEdges(rules.camera, rules.demands.neighbours.tolerance)
+    seen_from, seen_to = edges.intervals(pitch, spacing[:, None] / 2)
+    if ((seen_to - seen_from) >= _ENOUGH * height).all():
+        return rules
     strip = height / 2 + math.degrees(math.atan(rules.camera.half_height * (1 - 2 * rules.overlap_v)))
     tried = [rules, *(rules.with_seam(seam) for seam in _SEAMS[1:])]
-    pitch = np.array(_PITCHES_DEG)
     low = np.array([each.fewest(pitch) for each in tried])
     high = np.array([each.fewest(pitch + strip) for each in tried])
     high = np.where(np.gcd(low, high) > 1, high + 1, high)

@@ -38,7 +38,7 @@ from panoexec.planning.variants import variants
 _LABELS_TRIED = 3
 """So many ways of one total are tried before a larger total is."""
 
-_MOST_TRIED = 9
+_MOST_TRIED, _MOST_TRIED_MANY = 9, 1
 _ROUNDS = 4
 _FACTOR = 4.0
 _UNKNOWN = 0.02
@@ -196,7 +196,7 @@ class _Planner:
             loose += not found.certificate.two_edge_connected
             if not found.certificate.connected:
                 loose += _LOOSE_TRIED // (1 if rules.many else 2)
-            if loose >= _LOOSE_TRIED or tried >= _MOST_TRIED:
+            if loose >= _LOOSE_TRIED or tried >= (_MOST_TRIED_MANY if rules.many else _MOST_TRIED):
                 break
         return min(lacking, default=None)
 

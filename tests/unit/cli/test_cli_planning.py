@@ -129,6 +129,18 @@ class TestVerify:
         assert certificate["two_edge_connected"] is True
         assert certificate["min_overlap_h"] == pytest.approx(0.2138, abs=1e-4)
 
+    def test_a_published_plan_by_its_name(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        path = tmp_path / "hdrpano.json"
+        assert run(["verify", "scenario-2-hdrpano", "--output", str(path)]) == 1
+        out = capsys.readouterr().out
+        assert "161 images" in out
+        assert "at elevation -73.9" in out
+        written = json.loads(path.read_text())
+        assert len(written["shots"]) == 161
+        assert written["certificate"]["certified"] is False
+        assert run(["verify", str(path)]) == 1
+        assert run(["verify", "scenario-2-hdrpano", "--overlap", "0.1", "--elevation", "-70", "37.7"]) == 0
+
     def test_options_override_the_file(self, written: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert run(["verify", str(written), "--overlap", "0.2"]) == 1
         out = capsys.readouterr().out
