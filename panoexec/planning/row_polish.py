@@ -66,7 +66,12 @@ def polish(rules: RowRules, path: Sequence[tuple[float, int]], least_margin: flo
         return _centred(rules, *path[0], least_margin)
     extra = np.array([0.0, *(part * _promising(rules, path) for part in _RUNGS)])
     pitches = _climb(rules, path, least_margin + extra, extra)
-    good = np.nonzero(_reaches(rules, path[-1][1], pitches[-1], extra))[0]
+    reaches = _reaches(rules, path[-1][1], pitches[-1], extra)
+    if not rules.layout.closed:
+        counts_of = np.array([count for _, count in path])
+        for i in np.nonzero(reaches)[0].tolist():
+            reaches[i] = rules.allowed(pitches[:, i], counts_of).all()
+    good = np.nonzero(reaches)[0]
     if not len(good) or good[0] != 0:
         return None
     last = int(good[-1])

@@ -118,6 +118,13 @@ class RowRules:
 
     def allowed(self, pitch_deg: FloatArray, count: IntArray) -> NDArray[np.bool_]:
         """Whether C2 allows rows, (k,)."""
+        if not self.layout.closed:
+            # as far apart as the layout puts them, images may be turned too far against each other about a pole
+            spacing, _ = self.layout.spacing_and_reach(pitch_deg, count)
+            out = (count == 1) & (count >= self.demands.least_count)
+            several = np.nonzero((count > 1) & (count >= self.demands.least_count) & (spacing > 0))[0]
+            out[several] = self._spacing.surplus(pitch_deg[several], spacing[several]) >= 0
+            return np.asarray(out)
         out = np.zeros(len(pitch_deg), dtype=bool)
         for number in np.unique(count).tolist():
             mine = count == number

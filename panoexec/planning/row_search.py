@@ -230,6 +230,8 @@ class RowSearch:
             guess=np.where(np.minimum(low_count, count) > FEW, low_deg + self._outlook.usual_step_deg(low_deg), np.nan),
         )
         good = ~np.isnan(pitch)
+        if not rules.layout.closed:
+            good[good] = rules.allowed(pitch[good], count[good])
         before: list[Label | None] = [step.label for step, g in zip(steps, good.tolist(), strict=True) if g]
         return self._labels(pitch[good], count[good], before, start[good])
 

@@ -314,8 +314,18 @@ def test_any_request_gets_a_certified_plan_or_a_clear_refusal_and_never_more_ima
             ),
             58,
         ),
+        (
+            Camera.from_fov(77.4, 30.0),
+            Constraints(
+                overlap_h=0.449,
+                overlap_v=0.409,
+                band=Band(elevation_min_deg=-90, elevation_max_deg=-20, azimuth_min_deg=178.2, azimuth_max_deg=455.4),
+                guarantee="all",
+            ),
+            60,
+        ),
     ],
-    ids=["wide images turned about a pole", "tall images"],
+    ids=["wide images turned about a pole", "tall images", "a sector about a pole"],
 )
 def test_images_far_from_square_with_large_tolerances_are_certified(
     cam: Camera, constraints: Constraints, most: int
