@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 import threading
+from collections import Counter
 from pathlib import Path
 
 from panoexec.cli.serve import checked_config
@@ -43,6 +44,7 @@ async def serve(config_file: Path, speedup: float, counts: Path) -> None:
             "native_threads": len(list(Path("/proc/self/task").iterdir())),
             "files": len(list(Path("/proc/self/fd").iterdir())),
             "objects": len(gc.get_objects()),
+            "kinds": Counter(type(one).__qualname__ for one in gc.get_objects()).most_common(200),
         }
         write_atomically(counts, json.dumps(held))
 
