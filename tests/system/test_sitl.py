@@ -165,8 +165,8 @@ def test_a_camera_on_a_servo_is_proven_by_its_count(tmp_path: Path) -> None:
     summary = json.loads(done.stdout)
     assert (summary["state"], summary["missing"]) == ("complete", [])
     assert summary["evidence"] == {"counted": summary["shots"]}
-    # the payload exposes when the autopilot says that it has triggered
-    assert summary["photos"] == summary["attempts"]
+    # the payload exposes when the autopilot says that it has triggered; not every attempt comes to that
+    assert summary["shots"] <= summary["photos"] <= summary["attempts"]
 
 
 def test_ctrl_c_ends_everything_and_the_mission_goes_on_later(tmp_path: Path) -> None:
