@@ -23,9 +23,12 @@ HEAD = {"mission_id": "m1", "plan": '{"format": "panoexec.plan/1"}'}
 
 def _events(first: int, count: int) -> list[ev.Event]:
     return [
-        ev.Warned(mission_id="m1", seq=seq, time_utc_s=seq / 4, state=MissionState.PREFLIGHT, code="x", text="τ" * seq)
+        ev.Warned(
+            mission_id="m1", seq=seq, time_utc_s=seq / 4, clock_s=seq / 8, state=MissionState.PREFLIGHT,
+            code="x", text="τ" * seq,
+        )
         for seq in range(first, first + count)
-    ]
+    ]  # fmt: skip
 
 
 async def _young(path: Path, count: int = 3) -> None:
