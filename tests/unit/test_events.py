@@ -9,7 +9,7 @@ import typing
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from panoexec import events as ev
@@ -59,6 +59,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 @pytest.mark.parametrize("kind", sorted(ev.EVENT_TYPES))
+@settings(max_examples=40)
 @given(data=st.data())
 def test_round_trip_through_text(kind: str, data: st.DataObject) -> None:
     event = data.draw(_instances(ev.EVENT_TYPES[kind]))

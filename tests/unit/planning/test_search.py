@@ -261,7 +261,7 @@ def expected_images(cam: Camera, constraints: Constraints) -> float:
 
 
 @settings(
-    max_examples=int(os.environ.get("PANOEXEC_PLANNER_REQUESTS", "8")),
+    max_examples=int(os.environ.get("PANOEXEC_PLANNER_REQUESTS", "6")),
     deadline=None,
     derandomize="PANOEXEC_PLANNER_REQUESTS" not in os.environ,  # which ones are drawn must not change from run to run
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
