@@ -20,7 +20,7 @@ def add_broker_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("broker (what is not given comes from --config, then from the defaults)")
     group.add_argument("--config", type=Path, metavar="FILE", help="a configuration with [mqtt] and [vehicle]")
     group.add_argument("--vehicle", metavar="ID", help="which vehicle (drone)")
-    group.add_argument("--host", help="the broker (localhost)")
+    group.add_argument("--host", help="the broker (127.0.0.1)")
     group.add_argument("--port", type=int, metavar="N", help="its port (1883)")
     group.add_argument("--prefix", help="first part of the topics (panoexec)")
     group.add_argument("--protocol", choices=("5", "3.1.1"), help="MQTT version (5)")
@@ -47,7 +47,7 @@ def broker_of(args: argparse.Namespace) -> tuple[MqttSection, str]:
     except ValidationError as error:
         raise InputFileError("options", problem_lines(error)) from error
     if section.host is None:
-        section = section.model_copy(update={"host": "localhost"})
+        section = section.model_copy(update={"host": "127.0.0.1"})
     vehicle = args.vehicle or vehicle
     if any(char in vehicle for char in "/+#"):
         raise UsageError(f"--vehicle {vehicle}: an id has no / + or # in it")
