@@ -126,7 +126,9 @@ def test_a_whole_panorama_in_wind_and_back_on_the_ground(tmp_path: Path) -> None
 
 
 def test_a_two_axis_gimbal_is_panned_by_the_vehicle(tmp_path: Path) -> None:
-    arguments = ("--sitl", "--yaw", "vehicle", "--elevation", "-60", "10", "--azimuth", "-90", "90")
+    # in 8 m/s the simulated airframe shakes at some headings more than any photo bears (docs/mission.md)
+    calm = ("--wind", "4")
+    arguments = ("--sitl", "--yaw", "vehicle", *calm, "--elevation", "-60", "10", "--azimuth", "-90", "90")
     done = subprocess.run(
         command(*arguments, output=tmp_path), capture_output=True, text=True, timeout=400, check=False
     )
