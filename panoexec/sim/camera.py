@@ -63,8 +63,19 @@ class CameraModel:
         *,
         look: Callable[[], Look],
         on_exposed: Callable[[Exposure], None],
+        grain_s: float = 0.0,
     ) -> None:
+        """A camera that is ready.
+
+        Args:
+            config: its figures.
+            timeline: when it lives.
+            look: where it looks now.
+            on_exposed: gets each photo.
+            grain_s: a command that comes too early by this much is taken for one in time.
+        """
         self.config = config
+        self._grain_s = grain_s
         self._timeline = timeline
         self._look = look
         self._on_exposed = on_exposed
@@ -92,7 +103,7 @@ class CameraModel:
 
     def shoot(self) -> Refusal | None:
         """Take a photo; None if it will, else why not."""
-        if self._busy or self.wait_s > 1e-9:
+        if self._busy or self.wait_s > self._grain_s + 1e-9:
             return Refusal.BUSY
         if self.available_mib < self.config.image_mib:
             return Refusal.STORAGE_FULL

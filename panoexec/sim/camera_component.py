@@ -14,6 +14,7 @@ from panoexec.sim.component import NAN, Command, Component, bitmask, command_of,
 from panoexec.sim.config import SimConfig
 from panoexec.sim.dialect import mavlink
 from panoexec.sim.faults import Faults
+from panoexec.sim.following import GRAIN_S
 from panoexec.sim.gimbal import Angles, GimbalPhysics, quaternion
 from panoexec.sim.gimbal_component import GimbalComponent
 from panoexec.sim.wire import Link, Message, Sender
@@ -116,7 +117,11 @@ class CameraComponent:
         self.fix = Fix()
         self._fix_s = -math.inf
         self.model = CameraModel(
-            config.camera, timeline, look=lambda: look_at(gimbal.physics, timeline.now_s), on_exposed=self._exposed
+            config.camera,
+            timeline,
+            look=lambda: look_at(gimbal.physics, timeline.now_s),
+            on_exposed=self._exposed,
+            grain_s=0.0 if config.attach_url is None else GRAIN_S,
         )
         self._component = Component(
             timeline=timeline, sender=Sender(config.system_id, COMPONENT_ID), link=link, heartbeat=self._heartbeat

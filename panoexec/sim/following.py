@@ -9,6 +9,10 @@ AHEAD_S: Final = 0.03
 SILENT_S: Final = 1.0
 """Real seconds without a word after which the payload goes by its own clock again."""
 
+GRAIN_S: Final = 0.05
+"""How well moments can be told apart: payload and mission each have a stamp every 20 ms and go on by themselves between
+them, so that two seconds of the one may be 1.96 s of the other."""
+
 _WRAP_US: Final = 1 << 32
 _MOST_S: Final = 60.0
 

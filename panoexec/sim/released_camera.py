@@ -14,6 +14,7 @@ from panoexec.sim.camera_component import Fix, look_at, slip_if_drifting
 from panoexec.sim.config import SimConfig
 from panoexec.sim.dialect import mavlink
 from panoexec.sim.faults import Faults
+from panoexec.sim.following import GRAIN_S
 from panoexec.sim.gimbal import GimbalPhysics
 from panoexec.sim.wire import Message
 from panoexec.sim.world import Timeline
@@ -41,7 +42,11 @@ class ReleasedCamera:
         self._develop = develop
         self._fix: Fix | None = None
         self.model = CameraModel(
-            config.camera, timeline, look=lambda: look_at(physics, timeline.now_s), on_exposed=self._exposed
+            config.camera,
+            timeline,
+            look=lambda: look_at(physics, timeline.now_s),
+            on_exposed=self._exposed,
+            grain_s=GRAIN_S,
         )
 
     def receive(self, message: Message) -> None:

@@ -56,6 +56,20 @@ def test_it_refuses_within_its_interval_and_says_how_long() -> None:
     assert [exposure.index for exposure in bench.exposures] == [7, 8]
 
 
+def test_on_a_clock_of_a_coarse_grain_a_little_too_early_is_in_time() -> None:
+    timeline = Timeline()
+    now = Angles(0.0, 0.0, 0.0)
+    camera = CameraModel(
+        CONFIG, timeline, look=lambda: Look(truth=now, estimate=now, measured=now), on_exposed=lambda _: None,
+        grain_s=0.05,
+    )  # fmt: skip
+    assert camera.shoot() is None
+    timeline.run_until(0.9)
+    assert camera.shoot() is Refusal.BUSY
+    timeline.run_until(0.96)
+    assert camera.shoot() is None
+
+
 def test_its_card_fills_and_then_it_refuses() -> None:
     bench = Bench()
     for number in range(3):
