@@ -24,7 +24,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from panoexec.cli.output import console, note, percent, print_json, print_table
+from panoexec.cli.output import completeness, console, note, percent, print_json, print_table
 from panoexec.errors import DependencyError
 
 if TYPE_CHECKING:
@@ -188,7 +188,7 @@ def _row(group: Sequence[Outcome]) -> tuple[str, ...]:
         first.plan,
         str(first.images) + _saved(first),
         "-" if paper is None else str(paper.images),
-        _completeness(worst),
+        completeness(worst),
         "-" if paper is None else percent(paper.completeness, 0 if paper.completeness == 1 else 2),
         str(len(group)),
         _span([outcome.holes for outcome in group]),
@@ -212,14 +212,6 @@ def _saved(outcome: Outcome) -> str:
 def _span(values: Sequence[int]) -> str:
     low, high = min(values), max(values)
     return str(low) if low == high else f"{low}-{high}"
-
-
-def _completeness(fraction: float) -> str:
-    """Never 100 % by rounding."""
-    digits = 2
-    while fraction < 1 and round(100 * fraction, digits) >= 100 and digits < 9:
-        digits += 1
-    return percent(fraction, digits)
 
 
 def _count(text: str) -> int:

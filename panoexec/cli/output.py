@@ -73,6 +73,14 @@ def percent(fraction: float | None, digits: int = 1) -> str:
     return "-" if fraction is None else f"{100 * fraction:.{digits}f} %"
 
 
+def completeness(fraction: float) -> str:
+    """A completeness (equation 8) as a percentage, never 100 % by rounding."""
+    digits = 2
+    while fraction < 1 and round(100 * fraction, digits) >= 100 and digits < 9:
+        digits += 1
+    return percent(fraction, digits)
+
+
 def minutes(seconds: float) -> str:
     """A duration as `m:ss`, or `h:mm:ss`."""
     total = round(seconds)

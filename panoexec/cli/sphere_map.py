@@ -32,7 +32,7 @@ class Mark(IntEnum):
     """What is known of a direction; where images overlap the larger one shows."""
 
     OUTSIDE = 0
-    TODO = 1
+    PENDING = 1
     MISSING = 2
     AGAIN = 3
     RETAKEN = 4
@@ -46,7 +46,7 @@ LEGEND: Final[Mapping[Mark, tuple[str, str, str]]] = {
     Mark.CURRENT: ("#ffd43b", "◉", "now"),
     Mark.AGAIN: ("#e07b1f", "?", "again"),
     Mark.MISSING: ("#c92a2a", "x", "missing"),
-    Mark.TODO: ("#5c5f66", "·", "to do"),
+    Mark.PENDING: ("#5c5f66", "·", "to do"),
 }
 """Of each mark the colour, the character where there are no colours, and the word."""
 _OUTSIDE_COLOUR: Final = "#16181d"
@@ -66,7 +66,7 @@ def mark_of(record: ShotRecord, *, current: bool) -> Mark:
     if record.status in {ShotStatus.MISSED, ShotStatus.SKIPPED}:
         return Mark.MISSING
     tried = any(attempt.code for attempt in record.attempts)
-    return Mark.AGAIN if tried else Mark.TODO
+    return Mark.AGAIN if tried else Mark.PENDING
 
 
 def marks_of(record: MissionRecord) -> dict[int, Mark]:
@@ -94,7 +94,7 @@ class SphereMap:
         out = np.zeros(self._directions.shape[0], dtype=np.int8)
         for shot in shots:
             seen = self._pixels_of(shot)
-            out[seen] = np.maximum(out[seen], marks.get(shot.index, Mark.TODO))
+            out[seen] = np.maximum(out[seen], marks.get(shot.index, Mark.PENDING))
         return out.reshape(self._shape)
 
     def _pixels_of(self, shot: Shot) -> NDArray[np.intp]:
@@ -129,7 +129,7 @@ class SphereMap:
                 else:
                     out.append(_character(max(top, bottom)) * length)
             out.append("\n")
-        counts = {mark: sum(marks.get(shot.index, Mark.TODO) is mark for shot in shots) for mark in LEGEND}
+        counts = {mark: sum(marks.get(shot.index, Mark.PENDING) is mark for shot in shots) for mark in LEGEND}
         for mark, (colour, character, word) in LEGEND.items():
             if counts[mark]:
                 out.append("■ " if colours else f"{character} ", colour if colours else "")

@@ -18,7 +18,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from panoexec.cli.output import console, note, percent, print_facts, print_json, print_table
+from panoexec.cli.output import completeness, console, note, print_facts, print_json, print_table
 from panoexec.errors import DependencyError, UsageError
 from panoexec.mission_dir import MissionDirectory
 
@@ -118,8 +118,8 @@ def show(result: StitchResult, mission: StitchInput) -> None:
     width, height = result.canvas_px
     print_facts(
         [
-            ("completeness", f"{_completeness(verdict.fraction)} of the ground (equation 8)"),
-            ("", f"{_completeness(verdict.solid_angle_fraction)} by solid angle; {verdict.hole_px} px missing"),
+            ("completeness", f"{completeness(verdict.fraction)} of the ground (equation 8)"),
+            ("", f"{completeness(verdict.solid_angle_fraction)} by solid angle; {verdict.hole_px} px missing"),
             ("photos", f"{result.images} stitched, {len(result.left_out)} left out, {len(result.untied)} not tied"),
             (
                 "alignment",
@@ -145,14 +145,6 @@ def show(result: StitchResult, mission: StitchInput) -> None:
                 for h in verdict.holes[:_SHOWN]
             ),
         )
-
-
-def _completeness(fraction: float) -> str:
-    """Never 100 % by rounding."""
-    digits = 2
-    while fraction < 1 and round(100 * fraction, digits) >= 100 and digits < 9:
-        digits += 1
-    return percent(fraction, digits)
 
 
 def _width(text: str) -> int:

@@ -132,10 +132,10 @@ class Watched:
         out: dict[int, Mark] = {}
         for (shot, number), attempt in self.attempts.items():
             again = out.get(shot) in (Mark.DONE, Mark.RETAKEN)  # the earlier photo counts until a new one does
-            mark = _MARKS.get(attempt.verdict, Mark.TODO)
+            mark = _MARKS.get(attempt.verdict, Mark.PENDING)
             if mark is Mark.DONE and number > 1:
                 mark = Mark.RETAKEN
-            if not (again and mark in (Mark.AGAIN, Mark.TODO)):
+            if not (again and mark in (Mark.AGAIN, Mark.PENDING)):
                 out[shot] = mark
         return out
 

@@ -20,7 +20,7 @@ from panoexec.states import ENDED, MissionState, check_transition
 class ShotStatus(StrEnum):
     """Where a shot stands; a shot is always in exactly one of these."""
 
-    TODO = "todo"
+    PENDING = "pending"
     """Not tried, or to be tried again."""
     ACTIVE = "active"
     """An attempt is on its way to its photo."""
@@ -71,7 +71,7 @@ class ShotRecord:
     """One shot and all attempts at it."""
 
     shot: Shot
-    status: ShotStatus = ShotStatus.TODO
+    status: ShotStatus = ShotStatus.PENDING
     reason: str = ""
     attempts: list[AttemptRecord] = field(default_factory=list)
     patch: bool = False
@@ -217,11 +217,11 @@ class MissionRecord:
                 attempt = self._open(event)
                 attempt.verdict, attempt.code, attempt.reason = Verdict.REJECTED, event.code, event.reason
                 attempt.photos = event.photos or attempt.photos
-                record.status, record.reason = ShotStatus.TODO, event.reason
+                record.status, record.reason = ShotStatus.PENDING, event.reason
             case ev.ShotInterrupted():
                 attempt = self._open(event)
                 attempt.verdict, attempt.reason = Verdict.INTERRUPTED, event.reason
-                record.status = ShotStatus.TODO
+                record.status = ShotStatus.PENDING
             case _:
                 self._apply_decision(event, record)
 
@@ -291,7 +291,7 @@ class MissionRecord:
 
     def wanted(self) -> list[tuple[int, ev.MeasuredPose]]:
         """Shots that are still to come, with the poses they are believed to get: measured if exposed, else planned."""
-        coming = {ShotStatus.TODO, ShotStatus.ACTIVE, ShotStatus.DEFERRED, ShotStatus.EXPOSED}
+        coming = {ShotStatus.PENDING, ShotStatus.ACTIVE, ShotStatus.DEFERRED, ShotStatus.EXPOSED}
         out = []
         for index, shot in sorted(self.shots.items()):
             if shot.status in coming and shot.accepted is None:

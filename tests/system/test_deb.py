@@ -134,6 +134,7 @@ def test_it_starts_at_boot(machine: Machine) -> None:
     sh("systemctl", "start", "multi-user.target")
     wait("started with the target", running)
     wait("vehicle found", lambda: show("StatusText") == "idle; vehicle ready")
+    assert int(show("NRestarts")) == 0
 
 
 async def test_killed_in_a_mission_it_is_restarted_and_goes_on(machine: Machine) -> None:

@@ -155,7 +155,7 @@ def test_a_mission_without_anything(browser: Browser, directory: MissionDirector
 
     def nothing(document: dict[str, Any]) -> None:
         for shot in document["shots"]:
-            shot.update(attempts=[], accepted_attempt=None, status="todo", file="")
+            shot.update(attempts=[], accepted_attempt=None, status="pending", file="")
         document |= {"state": "failed", "certificate": None, "battery": [], "times": {}}
 
     edit(bare, nothing)

@@ -200,5 +200,9 @@ def test_nothing_but_a_profile_or_its_problems_comes_out(changes: dict[str, Any]
 @given(st.text(max_size=40) | st.text(max_size=10).map("{}.toml".format))
 @example("\0.toml")
 def test_any_name_is_a_profile_or_a_clear_error(name: str) -> None:
-    with contextlib.suppress(UsageError):
-        load_profile(name)
+    said, fov_deg = "", 0.0
+    try:
+        fov_deg = load_profile(name).camera.hfov_deg
+    except UsageError as error:
+        said = str(error)
+    assert bool(said) != (0 < fov_deg < 180)

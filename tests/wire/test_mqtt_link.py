@@ -196,6 +196,7 @@ async def test_two_daemons_with_one_vehicle_id_are_told(broker: Broker) -> None:
             await eventually(lambda: second.connected)
             told = "do two daemons have the vehicle id 'drone'?"
             await eventually(lambda: told in first.reason or told in second.reason)
+    assert not requests
 
 
 @pytest.mark.parametrize(("connections_before", "obeyed"), [(1, ["fresh"]), (0, [])])

@@ -19,8 +19,9 @@ def test_the_daemon_imports_nothing_that_it_never_needs() -> None:
 
 
 def test_rich_is_there_for_those_who_draw() -> None:
-    program = "import panoexec.cli.lean, structlog, rich.table"
-    subprocess.run([sys.executable, "-c", program], check=True)
+    program = "import panoexec.cli.lean, structlog, rich.table; print(rich.table.Table.__name__)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["Table"]
 
 
 def test_threads_share_one_heap_where_the_c_library_can() -> None:

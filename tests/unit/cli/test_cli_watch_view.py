@@ -81,7 +81,7 @@ def test_the_sphere_is_drawn_where_there_is_room() -> None:
         one.hear("event", event(kind, number, shot=shot, attempt=attempt))
     assert one.marks() == {0: Mark.DONE, 1: Mark.RETAKEN, 2: Mark.MISSING, 3: Mark.AGAIN, 4: Mark.CURRENT}
     text = shown(mission_view("drone", one, room=(100, 50)))
-    for mark in (Mark.DONE, Mark.RETAKEN, Mark.MISSING, Mark.AGAIN, Mark.CURRENT, Mark.TODO):
+    for mark in (Mark.DONE, Mark.RETAKEN, Mark.MISSING, Mark.AGAIN, Mark.CURRENT, Mark.PENDING):
         assert LEGEND[mark][1] in text
     for room in ((40, 50), (100, 20)):
         assert LEGEND[Mark.DONE][1] * 3 not in shown(mission_view("drone", one, room=room))
@@ -121,8 +121,9 @@ def test_what_a_stranger_publishes_there_does_no_harm(document: Any) -> None:
     one = Watched()
     for kind in ("state", "event", "plan", "status"):
         one.hear(kind, document)
-    shown(mission_view("drone", one))
-    shown(fleet_view({"drone": one}))
+    assert "drone" in shown(mission_view("drone", one))
+    assert "drone" in shown(fleet_view({"drone": one}))
+    assert not one.finished
 
 
 def test_a_fleet_is_a_line_each() -> None:

@@ -132,7 +132,7 @@ def test_the_marks_of_a_mission() -> None:
         Mark.MISSING,
         Mark.MISSING,
         Mark.CURRENT,
-        Mark.TODO,
+        Mark.PENDING,
     ]
 
 

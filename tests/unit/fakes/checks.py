@@ -60,7 +60,7 @@ def check_shots(world: World, record: MissionRecord) -> None:
     if record.state is MissionState.COMPLETE and not record.certified:
         assert not record.missing()
     if record.state in {MissionState.COMPLETE, MissionState.INCOMPLETE}:
-        left = {ShotStatus.TODO, ShotStatus.ACTIVE, ShotStatus.EXPOSED, ShotStatus.DEFERRED}
+        left = {ShotStatus.PENDING, ShotStatus.ACTIVE, ShotStatus.EXPOSED, ShotStatus.DEFERRED}
         unfinished = [index for index, shot in record.shots.items() if shot.status in left]
         finished_early = any(
             isinstance(event, ev.CommandReceived) and event.command == "finish" for event in world.journal.events

@@ -179,4 +179,7 @@ def test_any_bytes_are_a_request_or_an_error_that_can_be_sent(payload: bytes, da
         try:
             parse_request("start", raw)
         except RefusedRequestError as error:
-            Response.model_validate(json.loads(dump(failed(error))))
+            answer = Response.model_validate(json.loads(dump(failed(error))))
+            assert answer.status == "error"
+            assert answer.error is not None
+            assert answer.error.message

@@ -153,7 +153,7 @@ def test_a_mission_without_photos_without_a_plan_without_a_shot_tried(directory:
 
     def nothing(document: dict[str, Any]) -> None:
         for shot in document["shots"]:
-            shot.update(attempts=[], accepted_attempt=None, status="todo", file="")
+            shot.update(attempts=[], accepted_attempt=None, status="pending", file="")
         document |= {"state": "failed", "certificate": None, "battery": []}
 
     edit(directory, nothing)

@@ -54,7 +54,9 @@ async def test_nobody_waits_for_a_dead_autopilot(monkeypatch: pytest.MonkeyPatch
     async with asyncio.timeout(20):
         with Follower(clock).following(autopilot):
             autopilot.tell(7.0)
+            told_s = clock.monotonic()
             await clock.sleep(0.1)
+            assert clock.monotonic() >= told_s + 0.1 - 1e-6
 
 
 async def test_an_autopilot_that_is_too_fast_for_its_commands_is_asked_to_slow_down() -> None:

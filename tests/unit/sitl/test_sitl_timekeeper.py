@@ -144,7 +144,9 @@ async def test_time_goes_on_without_a_vehicle_that_died(monkeypatch: pytest.Monk
     async with together(vehicle) as (clock, keeper):
         await keeper.begin()
         vehicle.heard = lambda _: None
+        died_s = clock.monotonic()
         await clock.sleep(0.2)
+        assert clock.monotonic() >= died_s + 0.2 - 1e-5
 
 
 async def test_before_the_first_word_the_vehicle_goes_on_in_real_time() -> None:
