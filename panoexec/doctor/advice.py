@@ -1,6 +1,6 @@
 """What to set where: the parameters of ArduPilot and PX4 behind each thing that a mission needs.
 
-Names and values from ArduPilot's parameter descriptions (4.6, 4.7) and PX4's (1.15).
+Names and values from ArduPilot's parameter descriptions (4.6, 4.7) and PX4's (1.14 to 1.18).
 """
 
 from __future__ import annotations
@@ -23,12 +23,14 @@ _ADVICE: Final[dict[Topic, dict[str, str]]] = {
     },
     "limits": {
         "ardupilot": "MNT1_PITCH_MIN, MNT1_PITCH_MAX, MNT1_YAW_MIN, MNT1_YAW_MAX",
-        "px4": "MNT_RANGE_PITCH, MNT_RANGE_YAW, or the gimbal's own settings",
+        "px4": "the gimbal's own settings; of AUX outputs MNT_MIN_PITCH, MNT_MAX_PITCH (before 1.18 MNT_RANGE_PITCH) and "
+        "MNT_RANGE_YAW",
     },
     "gimbal": {
         "ardupilot": "MNT1_TYPE = 6 (MAVLink gimbal; 8 Siyi, 1 servos, …) and reboot; the gimbal's port needs "
         "SERIALn_PROTOCOL = 2",
-        "px4": "MNT_MODE_IN = 4 and MNT_MODE_OUT = 2 (MAVLink gimbal protocol v2), and reboot",
+        "px4": "MNT_MODE_IN = 4 and MNT_MODE_OUT = 2 (MAVLink gimbal protocol v2), and reboot; the gimbal's port needs "
+        "MAV_n_CONFIG, MAV_n_MODE = 10 (gimbal) and MAV_n_FORWARD = 1",
     },
     "feedback": {
         "ardupilot": "a mount that measures itself: MNT1_TYPE = 6 (MAVLink), 8 (Siyi), 4 or 5 (SToRM32), 3 (Alexmos); "
@@ -36,13 +38,16 @@ _ADVICE: Final[dict[Topic, dict[str, str]]] = {
         "px4": "a gimbal that speaks MAVLink itself: MNT_MODE_OUT = 2; AUX outputs (0) report nothing measured",
     },
     "camera": {
-        "ardupilot": "CAM1_TYPE = 6 (MAVLink camera v2), 1 (servo) or 2 (relay), and reboot",
-        "px4": "a MAVLink camera (component 100) routed to us, or TRIG_MODE = 1 with TRIG_INTERFACE and TRIG_PINS",
+        "ardupilot": "CAM1_TYPE = 6 (MAVLink camera v2), 4 (of the mount: Siyi, Topotek, Viewpro, Xacti), 1 (servo) or "
+        "2 (relay), and reboot",
+        "px4": "a MAVLink camera (component 100) routed to us by MAV_n_FORWARD = 1, or TRIG_MODE = 1 with TRIG_INTERFACE "
+        "and PWM_AUX_FUNCn = 2000 (camera trigger), and reboot",
     },
     "evidence": {
         "ardupilot": "wire the hot-shoe and set CAM1_FEEDBAK_PIN (50 = AUX1) and CAM1_FEEDBAK_POL, or CAM1_TYPE = 6 "
         "with a MAVLink camera",
-        "px4": "wire the hot-shoe and set CAM_CAP_FBACK = 1 with PWM_AUX_FUNCn = 2032, or use a MAVLink camera",
+        "px4": "wire the hot-shoe and set CAM_CAP_FBACK = 1 with PWM_AUX_FUNCn = 2032 (camera capture), and reboot; or use "
+        "a MAVLink camera",
     },
     "battery": {
         "ardupilot": "BATT_MONITOR = 4 (or as the battery needs) and BATT_CAPACITY",

@@ -55,6 +55,15 @@ def test_advice_names_the_autopilots_own_parameters_or_both_kinds() -> None:
     assert "PX4: MNT_MODE_IN" in both
 
 
+def test_advice_for_px4_names_no_parameter_that_it_has_given_up() -> None:
+    # outputs get their function by number since 1.13: 2000 Camera_Trigger, 2032 Camera_Capture (output_functions.yaml)
+    assert "TRIG_PINS" not in advise("camera", "px4")
+    assert "PWM_AUX_FUNCn = 2000" in advise("camera", "px4")
+    assert "PWM_AUX_FUNCn = 2032" in advise("evidence", "px4")
+    # 1.18 has a limit for each direction instead of a symmetric range
+    assert {"MNT_MIN_PITCH,", "MNT_MAX_PITCH"} <= set(advise("limits", "px4").split())
+
+
 # --- this computer
 
 
