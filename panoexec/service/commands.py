@@ -151,8 +151,7 @@ class Commands:
                 _check_new(noted)
             elif (known := self._answers.get(key)) is not None and known[0] == digest:
                 return known[1]
-            _check_fresh(incoming)
-            response = await self._obeyed(request)
+            response = await self._obeyed(request, incoming)
         except RefusedRequestError as error:
             _log.warning("request refused", command=request.command, code=error.code, error=error.message[:300])
             return dump(failed(error, request.transaction))
@@ -168,9 +167,10 @@ class Commands:
                 self._answers.popitem(last=False)
         return payload
 
-    async def _obeyed(self, request: Request) -> Response:
-        """Obey, and turn whatever goes wrong into an answer."""
+    async def _obeyed(self, request: Request, incoming: Incoming) -> Response:
+        """Obey if it is not too late, and turn whatever goes wrong into an answer."""
         try:
+            _check_fresh(incoming)
             return ok(request.transaction, await self._obey(request))
         except RefusedRequestError as error:
             refused = error

@@ -92,6 +92,8 @@ async def test_a_request_that_comes_too_late_is_not_obeyed(tmp_path: Path) -> No
         assert {a["transaction"]: a["status"] for a in answers} == {1: "error", 2: "error", 3: "ok"}
         assert [a["error"]["code"] for a in answers if a["error"]] == ["expired", "expired"]
         assert desk.refreshed == 1
+        desk.ask("set_profile", 2, camera="dji-x5s-45mm", expires_s=time.monotonic() + 60)
+        assert (await desk.heard(4))[3] == next(a for a in answers if a["transaction"] == 2), "the same answer"
         assert desk.commands.camera is None
 
 
