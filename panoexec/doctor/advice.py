@@ -23,7 +23,7 @@ _ADVICE: Final[dict[Topic, dict[str, str]]] = {
     },
     "limits": {
         "ardupilot": "MNT1_PITCH_MIN, MNT1_PITCH_MAX, MNT1_YAW_MIN, MNT1_YAW_MAX",
-        "px4": "the gimbal's own settings; of AUX outputs MNT_MIN_PITCH, MNT_MAX_PITCH (before 1.18 MNT_RANGE_PITCH) and "
+        "px4": "the gimbal's own settings; of AUX outputs MNT_MIN_PITCH, MNT_MAX_PITCH (before 1.18 MNT_RANGE_PITCH), "
         "MNT_RANGE_YAW",
     },
     "gimbal": {
@@ -40,14 +40,14 @@ _ADVICE: Final[dict[Topic, dict[str, str]]] = {
     "camera": {
         "ardupilot": "CAM1_TYPE = 6 (MAVLink camera v2), 4 (of the mount: Siyi, Topotek, Viewpro, Xacti), 1 (servo) or "
         "2 (relay), and reboot",
-        "px4": "a MAVLink camera (component 100) routed to us by MAV_n_FORWARD = 1, or TRIG_MODE = 1 with TRIG_INTERFACE "
-        "and PWM_AUX_FUNCn = 2000 (camera trigger), and reboot",
+        "px4": "a MAVLink camera (component 100) whose port has MAV_n_FORWARD = 1, or TRIG_MODE = 1 with "
+        "TRIG_INTERFACE and PWM_AUX_FUNCn = 2000 (camera trigger), and reboot",
     },
     "evidence": {
         "ardupilot": "wire the hot-shoe and set CAM1_FEEDBAK_PIN (50 = AUX1) and CAM1_FEEDBAK_POL, or CAM1_TYPE = 6 "
         "with a MAVLink camera",
-        "px4": "wire the hot-shoe and set CAM_CAP_FBACK = 1 with PWM_AUX_FUNCn = 2032 (camera capture), and reboot; or use "
-        "a MAVLink camera",
+        "px4": "wire the hot-shoe and set CAM_CAP_FBACK = 1 with PWM_AUX_FUNCn = 2032 (camera capture), or "
+        "use a MAVLink camera; reboot",
     },
     "battery": {
         "ardupilot": "BATT_MONITOR = 4 (or as the battery needs) and BATT_CAPACITY",
