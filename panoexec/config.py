@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping
+from ipaddress import IPv6Address
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeAlias
 
@@ -22,6 +23,7 @@ ENV_PREFIX = "PANOEXEC_"
 TURNING_MODES = frozenset({"OFFBOARD", "HOLD"})
 """Flight modes, by MAVSDK's names, in which one autopilot or another lets itself be turned."""
 _ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
+_HOST_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,252}")
 
 Positive: TypeAlias = Annotated[FiniteFloat, Field(gt=0)]
 NotNegative: TypeAlias = Annotated[FiniteFloat, Field(ge=0)]
@@ -47,6 +49,14 @@ def _ordered_range(value: Range, least: float, most: float) -> Range:
     if low < least or high > most:
         raise ValueError(f"[{low:g}, {high:g}] must lie within [{least:g}, {most:g}]")
     return value
+
+
+def _is_ipv6(text: str) -> bool:
+    try:
+        IPv6Address(text)
+    except ValueError:
+        return False
+    return True
 
 
 class VehicleSection(Section):
@@ -194,6 +204,13 @@ class MqttSection(Section):
     ca_file: Path | None = None
     cert_file: Path | None = None
     key_file: Path | None = None
+
+    @field_validator("host")
+    @classmethod
+    def _host_is_a_host(cls, value: str | None) -> str | None:
+        if value is not None and not _HOST_NAME.fullmatch(value) and not _is_ipv6(value):
+            raise ValueError(f"{value!r} is not a host: a name or an address alone, without mqtt:// and without a port")
+        return value
 
     @field_validator("prefix")
     @classmethod

@@ -1,4 +1,4 @@
-"""When certificates are valid, and what the errors of a TLS handshake mean to whoever set it up."""
+"""When certificates are valid, and what the errors of a connection and its TLS handshake mean to whoever set it up."""
 
 from __future__ import annotations
 
@@ -29,6 +29,19 @@ _MEANINGS: Final[tuple[tuple[str, str], ...]] = (
     ("self-signed certificate", "the broker's certificate is not signed by mqtt.ca_file {ca}"),
     ("self signed certificate", "the broker's certificate is not signed by mqtt.ca_file {ca}"),
     ("signature failure", "the broker's certificate is not signed by mqtt.ca_file {ca}"),
+    (
+        "connection refused",
+        "nothing listens on {host}, port {port}: does the broker run, is that its port?",
+    ),
+    ("no route to host", "{host} cannot be reached: is it on, is this machine on its network?"),
+    ("network is unreachable", "{host} cannot be reached: is this machine on a network?"),
+    ("name or service not known", "{host} is a name that nobody knows: look at its spelling and at the DNS"),
+    ("no address associated", "{host} is a name that nobody knows: look at its spelling and at the DNS"),
+    (
+        "failure in name resolution",
+        "the name {host} cannot be looked up: no network or no DNS; or give its address",
+    ),
+    ("timed out", "{host}, port {port} does not answer: is that the broker, does a firewall drop us?"),
     ("mismatch", "the broker's certificate is for another name than mqtt.host {host}"),
     ("wrong_version_number", "there is no TLS on mqtt.port {port}: leave out ca_file, or take the broker's TLS port"),
     ("packet_length_too_long", "there is no TLS on mqtt.port {port}: leave out ca_file, or take the broker's TLS port"),
@@ -84,7 +97,7 @@ def check_dates(settings: MqttSection) -> None:
 
 
 def explained(text: str, settings: MqttSection) -> str:
-    """The text of a failed connection, preceded by its meaning if it is one of TLS."""
+    """The text of a failed connection, preceded by its meaning if that is known."""
     low = text.lower()
     for part, meaning in _MEANINGS:
         if part in low:

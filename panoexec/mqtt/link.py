@@ -176,7 +176,7 @@ class MqttLink:
                 await self._session()
             except (aiomqtt.MqttError, PanoexecError, OSError, TimeoutError, ValueError) as error:
                 if time.monotonic() - began > _STEADY_S:
-                    patience_s, self._short = self._backoff_s, 0
+                    patience_s, self._short, self._said = self._backoff_s, 0, ""
                 elif self.connected:
                     self._short += 1  # a broker ends the connection of a client when a second one comes with its name
                 self._lost(error)

@@ -160,7 +160,7 @@ def test_wrong_usage(arguments: list[str], code: int, says: str, capsys: pytest.
 def test_no_broker(verb: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     port = free_tcp_port()
     assert run([*verb, "--port", str(port)]) == 3
-    assert f"no broker at 127.0.0.1:{port}: [Errno 111] Connection refused" in capsys.readouterr().err
+    assert f"no broker at 127.0.0.1:{port}: nothing listens on" in capsys.readouterr().err
 
 
 async def test_watch_waits_for_a_broker_that_goes_away(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from panoexec.config import Config, load_config
+from panoexec.config import Config, MqttSection, load_config
 from panoexec.errors import InputFileError
 
 EXAMPLE = Path(__file__).parents[2] / "config" / "panoexec.toml"
@@ -72,6 +72,11 @@ port = "lots"
         ("[mission]\noverlap_h = 15", "mission.overlap_h is 15"),
         ("[mission]\noverlap_h = nan", "mission.overlap_h is nan"),
         ('[mqtt]\nprefix = "/a"', "not a topic prefix"),
+        ('[mqtt]\nhost = ""', "'' is not a host: a name or an address alone"),
+        ('[mqtt]\nhost = "mqtt://broker.local"', "without mqtt:// and without a port"),
+        ('[mqtt]\nhost = "broker.local:1883"', "'broker.local:1883' is not a host"),
+        ('[mqtt]\nhost = "10.0.0.2:1883"', "'10.0.0.2:1883' is not a host"),
+        ('[mqtt]\nhost = "broker local"', "'broker local' is not a host"),
         ("[guards\n", "not valid TOML"),
     ],
 )
@@ -107,3 +112,10 @@ def test_the_environment_overrides_the_file(tmp_path: Path) -> None:
 def test_a_bad_override_names_its_key(tmp_path: Path) -> None:
     with pytest.raises(InputFileError, match=r"mqtt\.port is 'high'"):
         load_config(write(tmp_path, ""), {"PANOEXEC_MQTT__PORT": "high"})
+
+
+@pytest.mark.parametrize(
+    "host", ["broker.local", "10.0.0.2", "a", "::1", "fe80::1%eth0", "2001:db8::7", "my_broker-2.x"]
+)
+def test_hosts_are_names_or_addresses(host: str) -> None:
+    assert MqttSection(host=host).host == host

@@ -149,7 +149,12 @@ def test_only_what_is_known_is_explained() -> None:
     settings = MqttSection(host="h", ca_file=Path("ca.crt"))
     text = "[SSL: CERTIFICATE_VERIFY_FAILED] certificate verify failed: unable to get local issuer certificate"
     assert explained(text, settings) == f"the broker's certificate is not signed by mqtt.ca_file ca.crt ({text})"
-    assert explained("Connection refused", settings) == "Connection refused"
+    refused = "[Errno 111] Connection refused"
+    assert explained(refused, settings) == (
+        f"nothing listens on h, port 1883: does the broker run, is that its port? ({refused})"
+    )
+    assert explained("[Errno -2] Name or service not known", settings).startswith("h is a name that nobody")
+    assert explained("Not authorized", settings) == "Not authorized"
 
 
 async def test_the_shipped_configuration_of_the_broker_as_it_is(authority: Authority, tmp_path: Path) -> None:
