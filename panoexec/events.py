@@ -372,7 +372,7 @@ def event_from_json(data: Mapping[str, Any]) -> Event:
     Raises:
         ValueError: an unknown type, or fields that do not fit it.
     """
-    cls = EVENT_TYPES.get(str(data.get("type")))
+    cls = EVENT_TYPES.get(str(data.get("type"))) if isinstance(data, Mapping) else None
     if cls is None:
-        raise ValueError(f"unknown event type {data.get('type')!r}")
+        raise ValueError(f"no event of a known type: {str(data)[:80]}")
     return decode(cls, data)

@@ -22,6 +22,7 @@ from typing import Self, TypeVar
 
 from panoexec.errors import MissionError, UsageError
 from panoexec.events import Event, event_from_json
+from panoexec.journal_tail import lost_tail
 
 APPLICATION_ID = 0x50414E4F
 """`PANO`."""
@@ -124,8 +125,12 @@ class SqliteJournal:
         return await self._run(lambda: _read_events(self.path, self._connection))
 
     async def head(self) -> dict[str, str]:
-        """What the journal was created with."""
-        return await self._run(lambda: dict(self._connection.execute("SELECT key, value FROM head").fetchall()))
+        """What the journal was created with.
+
+        Raises:
+            JournalFileError: it cannot be read: the journal is damaged.
+        """
+        return await self._run(lambda: _read_head(self.path, self._connection))
 
     def _write(self, rows: Sequence[tuple[int, str, float, str]]) -> None:
         try:
@@ -156,16 +161,18 @@ def read_journal(path: Path) -> tuple[dict[str, str], list[Event]]:
         raise JournalFileError(f"{path}: there is no journal")
     _check_file(path)
     # whatever a killed process left unfolded lies beside it; without that, SQLite need not make files to read
-    beside = path.with_name(path.name + "-wal")
+    beside, shared = path.with_name(path.name + "-wal"), path.with_name(path.name + "-shm")
     how = "mode=ro" if beside.exists() and beside.stat().st_size else "mode=ro&immutable=1"
+    was_there = shared.exists()
     try:
         with contextlib.closing(sqlite3.connect(f"{path.absolute().as_uri()}?{how}", uri=True, timeout=1.0)) as found:
-            head = dict(found.execute("SELECT key, value FROM head").fetchall())
-            return head, _read_events(path, found)
+            _check_pages(path, found)
+            return _read_head(path, found), _read_events(path, found)
     except sqlite3.Error as error:
-        if "locked" in str(error):
-            raise JournalFileError(f"{path}: in use by another panoexec") from error
-        raise JournalFileError(f"{path}: cannot be read ({error})") from error
+        raise _unusable(path, error) from error
+    finally:
+        if not was_there:  # SQLite's index of what is unfolded; a reader that may not write does not clear it away
+            shared.unlink(missing_ok=True)
 
 
 def _create(path: Path, head: Mapping[str, str]) -> sqlite3.Connection:
@@ -197,21 +204,37 @@ def _open(path: Path) -> sqlite3.Connection:
     _check_file(path)
     try:
         connection = _connect(path)
-        damaged = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
-    except sqlite3.OperationalError as error:
-        if "locked" in str(error):
-            raise JournalFileError(f"{path}: in use by another panoexec; stop that one first") from error
-        raise JournalFileError(f"{path}: cannot be opened ({error})") from error
-    except sqlite3.DatabaseError as error:
-        raise JournalFileError(f"{path}: damaged ({error}); it was left as it is") from error
-    if damaged != "ok":
+    except (sqlite3.Error, UnicodeDecodeError) as error:
+        raise _unusable(path, error) from error
+    try:
+        _check_pages(path, connection)
+    except BaseException:
         connection.close()
-        raise JournalFileError(f"{path}: damaged ({damaged}); it was left as it is")
+        raise
     return connection
 
 
+def _unusable(path: Path, error: sqlite3.Error | UnicodeDecodeError) -> JournalFileError:
+    """Why a journal cannot be used, in words for whoever wanted to."""
+    if "locked" in str(error):
+        return JournalFileError(f"{path}: in use by another panoexec; stop that one first")
+    if isinstance(error, sqlite3.OperationalError) and "malformed" not in str(error):
+        return JournalFileError(f"{path}: cannot be opened ({error})")
+    return JournalFileError(f"{path}: damaged ({error}); it was left as it is")
+
+
+def _check_pages(path: Path, connection: sqlite3.Connection) -> None:
+    """Raise if the file's pages do not hold together."""
+    try:
+        damaged = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+    except UnicodeDecodeError as error:  # of a text that SQLite wanted to tell of the damage
+        raise JournalFileError(f"{path}: damaged ({error}); it was left as it is") from error
+    if damaged != "ok":
+        raise JournalFileError(f"{path}: damaged ({' '.join(str(damaged).split())}); it was left as it is")
+
+
 def _check_file(path: Path) -> None:
-    """Refuse what is not ours, or newer, by the file's header alone: nothing is opened, nothing can change."""
+    """Refuse what is not ours, newer, or torn, by bytes of the files alone: nothing is opened, nothing can change."""
     try:
         with path.open("rb") as file:
             header = file.read(100)
@@ -228,6 +251,12 @@ def _check_file(path: Path) -> None:
             f"{path}: written by a newer panoexec (layout {version}, this one reads up to {SCHEMA_VERSION});"
             " update panoexec to resume it"
         )
+    try:
+        lost = lost_tail(path.with_name(path.name + "-wal"))
+    except OSError as error:
+        raise JournalFileError(f"{path}-wal: cannot be read ({error.strerror})") from error
+    if lost:
+        raise JournalFileError(f"{path}: damaged ({lost}); it was left as it is")
 
 
 def _connect(path: Path) -> sqlite3.Connection:
@@ -248,16 +277,29 @@ def _connect(path: Path) -> sqlite3.Connection:
     return connection
 
 
+def _read_head(path: Path, connection: sqlite3.Connection) -> dict[str, str]:
+    try:
+        return dict(connection.execute("SELECT key, value FROM head").fetchall())
+    except (sqlite3.Error, ValueError) as error:
+        raise _damaged(path, error) from error
+
+
 def _read_events(path: Path, connection: sqlite3.Connection) -> list[Event]:
     try:
         rows = connection.execute("SELECT json FROM events ORDER BY seq").fetchall()
         events = [event_from_json(json.loads(text)) for (text,) in rows]
     except (sqlite3.Error, ValueError) as error:
-        raise JournalFileError(f"{path}: damaged ({error}); it was left as it is") from error
+        raise _damaged(path, error) from error
     wrong = next((i for i, event in enumerate(events, start=1) if event.seq != i), None)
     if wrong is not None:
         raise JournalFileError(f"{path}: damaged (event {wrong} is missing); it was left as it is")
     return events
+
+
+def _damaged(path: Path, error: Exception) -> JournalFileError:
+    if "locked" in str(error):
+        return JournalFileError(f"{path}: in use by another panoexec; stop that one first")
+    return JournalFileError(f"{path}: damaged ({str(error)[:200]}); it was left as it is")
 
 
 def _sync_folder(path: Path) -> None:

@@ -19,7 +19,7 @@ from panoexec.codec import decode, encode
 from panoexec.devices import Camera, Gimbal, Severity, Vehicle
 from panoexec.errors import MissionError, UsageError
 from panoexec.events import Event, EventSink
-from panoexec.journal import JournalFileError, SqliteJournal
+from panoexec.journal import JournalFileError, SqliteJournal, read_journal
 from panoexec.manifest import ManifestWriter
 from panoexec.mission.executor import Mission
 from panoexec.mission.pilot import PilotVoice, Saying
@@ -106,21 +106,18 @@ async def open_mission(directory: MissionDirectory) -> StoredMission:
         JournalFileError: no journal, or one that cannot be used.
         InputFileError: the plan in it is wrong.
     """
-    journal = await SqliteJournal.open(directory.journal)
+    # looked at before it is opened to be written: that folds in what a killed process left beside it, and what is
+    # refused must be left as it is
+    head, events = await asyncio.to_thread(read_journal, directory.journal)
     try:
-        head, events = await journal.head(), await journal.events()
-        try:
-            plan_data = json.loads(head["plan"])
-            settings = decode(MissionSettings, json.loads(head["settings"]))
-            extra = json.loads(head["extra"])
-        except (KeyError, ValueError) as error:
-            raise JournalFileError(f"{directory.journal}: damaged ({error}); it was left as it is") from error
-        file = plan_from_data(plan_data, source=f"{directory.journal} (plan)")
-        plan = file.plan()
-        _check_resumable(directory, plan, events)
-    except BaseException:
-        await journal.close()
-        raise
+        plan_data = json.loads(head["plan"])
+        settings = decode(MissionSettings, json.loads(head["settings"]))
+        extra = json.loads(head["extra"])
+    except (KeyError, ValueError) as error:
+        raise JournalFileError(f"{directory.journal}: damaged ({error}); it was left as it is") from error
+    plan = plan_from_data(plan_data, source=f"{directory.journal} (plan)").plan()
+    _check_resumable(directory, plan, events)
+    journal = await SqliteJournal.open(directory.journal)
     return StoredMission(
         directory=directory, journal=journal, plan=plan, settings=settings, extra=extra, events=tuple(events)
     )
@@ -129,7 +126,7 @@ async def open_mission(directory: MissionDirectory) -> StoredMission:
 def _check_resumable(directory: MissionDirectory, plan: Plan, events: list[Event]) -> None:
     try:
         record = MissionRecord.from_events(mission_id=directory.mission_id, shots=plan.shots, events=events)
-    except (MissionError, ValueError, KeyError) as error:
+    except (MissionError, ValueError, LookupError) as error:
         raise JournalFileError(f"{directory.journal}: damaged ({error}); it was left as it is") from error
     if record.state in FINISHED:
         raise NotResumableError(

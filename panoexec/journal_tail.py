@@ -1,0 +1,63 @@
+"""Whether what a killed process left beside its journal is whole: SQLite's write-ahead log (journal.sqlite-wal).
+
+SQLite reads it up to the first frame that does not fit its checksum and forgets the rest without a word. That is right
+for the transaction that a power cut tore, which nobody was told of; but a log that is damaged further up holds later
+transactions, each of which was on disk before the next one began. Forgetting those would make a mission that is half
+flown a new one. Layout: https://www.sqlite.org/fileformat2.html, section 4.1 and 4.2.
+"""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Final
+
+_HEADER: Final = 32
+_FRAME: Final = 24
+_MAGIC: Final = (0x377F0682, 0x377F0683)
+
+
+def lost_tail(log: Path) -> str:
+    """What is damaged in a write-ahead log so that transactions after it would be forgotten; "" if nothing is.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    data = log.read_bytes() if log.exists() else b""
+    if len(data) < _HEADER + _FRAME:
+        return ""
+    magic, _, page_size = struct.unpack_from(">3I", data)
+    order = ">" if magic & 1 else "<"
+    sums = _checksum(data[: _HEADER - 8], (0, 0), order)
+    good = magic in _MAGIC and sums == struct.unpack_from(">2I", data, _HEADER - 8)
+    if not good:
+        page_size = 4096  # as every journal of ours has
+    salts = data[16:24] if good else data[_HEADER + 8 : _HEADER + 16]
+    broken = 0 if good else 1  # the first frame that SQLite would not read, from 1
+    commits_lost = 0
+    for number, at in enumerate(range(_HEADER, len(data) - _FRAME - page_size + 1, _FRAME + page_size), start=1):
+        page = data[at + _FRAME : at + _FRAME + page_size]
+        if not broken:
+            if data[at + 8 : at + 16] != salts:  # of an earlier log, in the same file
+                broken = number
+                continue
+            sums = _checksum(page, _checksum(data[at : at + 8], sums, order), order)
+            if sums != struct.unpack_from(">2I", data, at + 16):
+                broken = number
+        if broken and data[at + 8 : at + 16] == salts:
+            commits_lost += data[at + 4 : at + 8] != b"\0\0\0\0"
+    # the transaction that was being written may be torn; one after it was begun only when it was on disk
+    if commits_lost < 2:
+        return ""
+    where = f"frame {broken}" if good else "the header"
+    return f"{where} of {log.name}, with {commits_lost} transactions after it"
+
+
+def _checksum(data: bytes, sums: tuple[int, int], order: str) -> tuple[int, int]:
+    """SQLite's checksum of whole pairs of words, going on from `sums`."""
+    first, second = sums
+    words = iter(struct.unpack(f"{order}{len(data) // 4}I", data))
+    for one, other in zip(words, words, strict=True):
+        first = (first + one + second) & 0xFFFFFFFF
+        second = (second + other + first) & 0xFFFFFFFF
+    return first, second
