@@ -204,6 +204,11 @@ class Gimbal(Protocol):
         """Whether the manager names us as the one in primary control, as of its last status."""
         ...
 
+    @property
+    def controlled_by(self) -> tuple[int, int] | None:
+        """MAVLink system and component in primary control, (0, 0) for nobody; None if that is not known."""
+        ...
+
     async def acquire(self) -> None:
         """Take primary control and return when the manager confirms it.
 

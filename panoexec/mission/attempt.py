@@ -67,6 +67,7 @@ class Exposure:
         trigger_delay_s: from settled to the first trigger on the wire.
         failure: why not all photos were taken, "" if they were.
         images_before: how many images the camera counted before; -1 where that was not known.
+        broken_off: somebody asked to hold or to end between two photos of a bracket.
     """
 
     captures: tuple[PendingCapture, ...]
@@ -75,6 +76,7 @@ class Exposure:
     trigger_delay_s: float
     failure: str = ""
     images_before: int = -1
+    broken_off: bool = False
 
 
 @dataclass(kw_only=True)
@@ -163,16 +165,25 @@ class Shooter:
             why = "inside tolerance, but never for the whole settle time"
         return NotSettled(code="not_settled", reason=f"not settled after {bound_s:.1f} s: {why}")
 
-    async def expose(self, shot: Shot, settled: Settled) -> Exposure | NotSettled:
-        """Trigger and judge; returns when the exposure has ended. Must not be cancelled half-way but at a hard stop."""
+    async def expose(self, shot: Shot, settled: Settled, *, interrupt: asyncio.Event) -> Exposure | NotSettled:
+        """Trigger and judge; returns when the exposure has ended. Must not be cancelled half-way but at a hard stop.
+
+        Args:
+            shot: where the camera looks.
+            settled: since when.
+            interrupt: when it is set, no further photo of a bracket is taken.
+        """
         captures: list[PendingCapture] = []
         stamps: list[float] = []
-        failure = ""
+        failure, broken_off = "", False
         end_s = 0.0
         images_before = self.camera.image_count if isinstance(self.camera, PhotoMemory) else -1
         for number in range(1, self.settings.brackets + 1):
             if number > 1:
-                await self.clock.sleep(self._interval_left_s())
+                left = self.clock.sleep(self._interval_left_s())
+                await until(interrupt.wait(), left, f"bracket of shot {shot.index}")
+                if broken_off := interrupt.is_set():
+                    break
             try:
                 capture = await within(self.clock, TRIGGER_BOUND_S, self.camera.trigger(), f"trigger {shot.index}")
             except (DeviceError, TimeoutError) as error:
@@ -193,6 +204,7 @@ class Shooter:
             trigger_delay_s=captures[0].commanded_s - settled.settled_s,
             failure=failure,
             images_before=images_before,
+            broken_off=broken_off,
         )
 
     async def _exposure_end(self, capture: PendingCapture) -> float:

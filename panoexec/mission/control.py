@@ -32,6 +32,7 @@ class Control:
 
     Attributes:
         stop: the mission must end, and why.
+        over: it is ending by itself, and nothing can be asked of it any more.
         finish: shooting must end, the gaps are accepted.
         skips: shots that are not wanted any more.
         holds: what holds the mission, by code.
@@ -43,6 +44,7 @@ class Control:
 
     def __init__(self) -> None:
         self.stop: Stop | None = None
+        self.over = False
         self.finish: str | None = None
         self.skips: set[int] = set()
         self.holds: dict[str, Hold] = {}

@@ -81,7 +81,8 @@ class Mission:
         record = MissionRecord.from_events(mission_id=mission_id, shots=plan.shots, events=past)
         if record.state in FINISHED:
             raise MissionError(f"mission {mission_id} is {record.state} and cannot be resumed: {record.reason}")
-        todo = [index for index, shot in sorted(record.shots.items()) if shot.status not in DONE]
+        again = record.asked.repeats
+        todo = [index for index, shot in sorted(record.shots.items()) if shot.status not in DONE or index in again]
         self._flight = Flight(
             plan=plan,
             settings=settings,
@@ -180,6 +181,7 @@ class Mission:
             async with asyncio.TaskGroup() as group:
                 watching = group.create_task(self._holding.watch(), name="mission guards")
                 await self._course(group)
+                control.over = True
                 await self._holding.release()
                 watching.cancel()
             planned_end = True
@@ -224,15 +226,36 @@ class Mission:
         flight = self._flight
         self._shooting = Shooting(flight, self._holding, group)
         if self._resumed:
+            self._take_up_commands()
             await settle_open_attempts(flight)
-        if len(flight.queue):
-            await until(flight.control.leaving.wait(), self._preflight(), "preflight")
+            self._leave_out()
+        checked = False
         while flight.control.stop is None:
+            if len(flight.queue) and not checked and not flight.control.must_leave:  # also patches of a resumed one
+                checked, _ = await until(flight.control.leaving.wait(), self._preflight(), "preflight")
             if not flight.control.must_leave:
                 await self._shooting.run()
             await self._shooting.evidence_in()
             if flight.control.stop is not None or await self._ending.finish():
                 return
+
+    def _take_up_commands(self) -> None:
+        """Go on to obey what the earlier process was told, and answered for, but did not come to do."""
+        asked, control = self._flight.record.asked, self._flight.control
+        if asked.end == "abort":
+            control.ask_stop(Stop("abort", asked.reason or "aborted by command"))
+        elif asked.end:
+            control.ask_finish(asked.reason or "finished by command, the gaps are accepted")
+
+    def _leave_out(self) -> None:
+        """Shots that were to be skipped, unless their photo counts after all."""
+        flight = self._flight
+        for index in sorted(flight.record.asked.skips):
+            shot = flight.record.shots[index]
+            if shot.accepted is None and shot.open_attempt is None:
+                flight.queue.drop(index)
+                skipped = ev.ShotSkipped(shot=index, attempt=len(shot.attempts), reason="skipped by command")
+                flight.recorder.emit(skipped)
 
     async def _preflight(self) -> None:
         flight = self._flight

@@ -28,6 +28,7 @@ class Situation:
         sample_age_s: age of the newest attitude sample; infinity before the first.
         in_control: whether the gimbal's manager names us.
         expects_control: whether it should.
+        unclaimed: whether the manager says that nobody has the gimbal.
         origin: latitude, longitude, altitude where the mission began; NaN where unknown.
         storage_free_images: how many more photos fit.
         holding: codes of the findings that hold the mission now.
@@ -41,6 +42,7 @@ class Situation:
     expects_control: bool
     origin: tuple[float, float, float]
     storage_free_images: float
+    unclaimed: bool = False
     holding: frozenset[str] = frozenset()
     turn_modes: tuple[str, ...] | None = None
 
@@ -95,13 +97,18 @@ class AttitudeGuard:
 
 @dataclass(frozen=True, slots=True)
 class ControlGuard:
-    """Somebody else has the gimbal."""
+    """Somebody else has the gimbal.
+
+    Who gives it back leaves it to nobody: so that the mission may go on, it need not be ours again already.
+    """
 
     reclaim: bool
 
     def check(self, situation: Situation) -> Finding | None:
         """See `Guard.check`."""
         if situation.in_control or not situation.expects_control or not situation.vehicle.connected:
+            return None
+        if situation.unclaimed and not self.reclaim and "gimbal_control" in situation.holding:
             return None
         what = "asking for it back" if self.reclaim else "give it back and resume"
         reason = f"the gimbal is not ours any more (another station has it, or its manager restarted); {what}"

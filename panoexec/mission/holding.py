@@ -30,6 +30,7 @@ class Holding:
         # asked too, until this process did something itself: the last one may have died before the journal knew
         self._touched = flight.record.gimbal_held or flight.record.gimbal_left
         self._asks_manager = True
+        self._taking = False
         self._boots = flight.vehicle.status.boot_count
 
     async def watch(self) -> None:
@@ -53,7 +54,9 @@ class Holding:
             vehicle=status,
             sample_age_s=math.inf if sample is None else now - sample.received_s,
             in_control=flight.gimbal.in_control,
-            expects_control=flight.record.gimbal_held and self._touched,  # not while it is being given back
+            # not while it is being taken or given back
+            expects_control=flight.record.gimbal_held and self._touched and not self._taking,
+            unclaimed=flight.gimbal.controlled_by == (0, 0),
             origin=flight.record.origin,
             storage_free_images=flight.camera.storage_free_images,
             holding=frozenset(flight.control.holds),
@@ -108,13 +111,15 @@ class Holding:
         flight = self._flight
         if flight.record.gimbal_held and flight.gimbal.in_control:
             return True
-        self._touched, self._asks_manager = True, False
+        self._touched, self._asks_manager, self._taking = True, False, True
         try:
             done, _ = await until(flight.control.leaving.wait(), flight.gimbal.acquire(), "take the gimbal")
         except DeviceError as error:
             finding = Finding(code="gimbal_control", reason=f"cannot take the gimbal: {error}", automatic=True)
             flight.control.hold(finding)
             return False
+        finally:
+            self._taking = False
         if done:
             flight.recorder.emit(ev.GimbalAcquired())
         return done

@@ -87,6 +87,53 @@ class ShotRecord:
         return next((a for a in reversed(self.attempts) if a.verdict is Verdict.OPEN), None)
 
 
+@dataclass(slots=True)
+class Asked:
+    """What was asked of the mission by command, and is not done yet: a process that dies must not forget it.
+
+    Attributes:
+        end: the command that ends it, `abort` or `finish`; "" for none.
+        reason: that was given with it.
+        pause: it is to hold until somebody says `resume`.
+        skips: shots to be left out, whose attempt is still to get its verdict.
+        repeats: shots to be taken again.
+    """
+
+    end: str = ""
+    reason: str = ""
+    pause: bool = False
+    skips: set[int] = field(default_factory=set)
+    repeats: set[int] = field(default_factory=set)
+
+    def hear(self, event: ev.Event) -> None:
+        """Take what was asked for, or what makes it superfluous."""
+        match event:
+            case ev.CommandReceived():
+                self._take(event)
+            case ev.MissionStarted():
+                self.pause = False  # somebody wants it to go on
+            case ev.ShotSkipped():
+                self.skips.discard(event.shot)
+                self.repeats.discard(event.shot)
+            case ev.ShotAccepted():
+                self.skips.discard(event.shot)
+            case ev.ShotStarted():  # from here on the shot's own status tells
+                self.repeats.discard(event.shot)
+
+    def _take(self, event: ev.CommandReceived) -> None:
+        """Take a command; an abort overrules a finish."""
+        match event.command:
+            case "abort" | "finish" if self.end != "abort":
+                self.end, self.reason = event.command, event.reason
+            case "pause" | "resume":
+                self.pause = event.command == "pause"
+            case "skip" if event.shot is not None:
+                self.skips.add(event.shot)
+            case "repeat" if event.shot is not None:
+                self.skips.discard(event.shot)
+                self.repeats.add(event.shot)
+
+
 class MissionRecord:
     """The state of a mission as its events tell it.
 
@@ -117,6 +164,7 @@ class MissionRecord:
         self.certified: bool | None = None
         self.warnings: list[str] = []
         self.patch_rounds = 0
+        self.asked = Asked()
 
     @classmethod
     def from_events(cls, *, mission_id: str, shots: Sequence[Shot], events: Iterable[ev.Event]) -> MissionRecord:
@@ -142,6 +190,7 @@ class MissionRecord:
             self.state = event.state
             self.reason = ""
         self.seq = event.seq
+        self.asked.hear(event)
         match event:
             case ev.MissionStarted():
                 self._start(event)

@@ -15,6 +15,7 @@ from panoexec.mission.holding import Holding
 from panoexec.mission.shot_queue import Decision, Task
 from panoexec.mission.waiting import until
 from panoexec.pointing import WindowVerdict
+from panoexec.states import MissionState
 
 
 class Shooting:
@@ -42,24 +43,25 @@ class Shooting:
         )
 
     async def run(self) -> None:
-        """Shoot; the mission is capturing on entry, and capturing or paused on return."""
+        """Shoot what is left, if anything is; the mission is capturing or paused on return, if it shot."""
         flight, control = self._flight, self._flight.control
         if math.isnan(self.began_s):
             self.began_s = flight.clock.monotonic()
         while not control.must_leave:
             control.settled()
-            if control.holds or not (flight.record.gimbal_held or await self._holding.acquire()):
-                if control.holds:
-                    await self._holding.hold()
-                continue
-            task = flight.queue.take()
-            if task is not None:
-                await self._attempt(task)
-            elif self._outstanding:
+            if flight.record.state is MissionState.CAPTURING:
+                self._holding.look()  # nothing moves on what was seen before the last wait
+            if control.holds:
+                await self._holding.hold()
+            elif not len(flight.queue) and not self._outstanding:
+                return
+            elif not len(flight.queue):
                 self._proven.clear()
                 await until(control.changed.wait(), self._proven.wait(), "evidence")
-            else:
-                return
+            elif flight.record.gimbal_held or await self._holding.acquire():
+                task = flight.queue.take()
+                assert task is not None
+                await self._attempt(task)
 
     async def evidence_in(self) -> None:
         """Return when no photo waits for its evidence any more (each wait is bounded), or the mission must stop."""
@@ -88,7 +90,11 @@ class Shooting:
         if not done or result is None or (control.interrupt.is_set() and isinstance(result, Settled)):
             self._interrupted(shot.index, number)
             return
-        exposure = await self.shooter.expose(shot, result) if isinstance(result, Settled) else result
+        exposure: Exposure | NotSettled
+        if isinstance(result, Settled):
+            exposure = await self.shooter.expose(shot, result, interrupt=control.interrupt)
+        else:
+            exposure = result
         if isinstance(exposure, NotSettled):
             self._reject(shot.index, number, exposure.code, exposure.reason, ())
             return
@@ -112,6 +118,10 @@ class Shooting:
             images_before=exposure.images_before,
         )
         self._keep(exposed)
+        if exposure.broken_off:
+            self._interrupted(shot, number)
+            self._group.create_task(self._identify(shot, number, photos, exposure.captures), name=f"photo of {shot}")
+            return
         by = "open_loop" if self.shooter.open_loop else "tolerance" if verdict.ok else "overlap"
         if not exposure.failure and (verdict.ok or self._may_overlap(verdict)):
             self._outstanding += 1

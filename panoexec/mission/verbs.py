@@ -97,6 +97,8 @@ class Verbs:
         record = self._flight.record
         if record.state in ENDED or record.state is MissionState.IDLE:
             raise CommandRefusedError(f"cannot {command}: the mission is {record.state}")
+        if self._flight.control.over and self._flight.control.stop is None:
+            raise CommandRefusedError(f"cannot {command}: the mission is over, the gimbal is being released")
         if self._flight.control.stop is not None:
             raise CommandRefusedError(f"cannot {command}: the mission is ending ({self._flight.control.stop.reason})")
 

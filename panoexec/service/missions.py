@@ -35,6 +35,9 @@ from panoexec.states import ENDED, MissionState
 
 Reference = Literal["north", "heading"]
 
+REFERENCE: Final = "reference"
+"""What a mission's journal keeps beside: the wish that it began with."""
+
 _ENDING_S: Final = 30.0
 
 _log = structlog.get_logger(__name__)
@@ -147,7 +150,13 @@ class Missions:
         storage = self._config().storage
         try:
             await asyncio.to_thread(self._check_space)
-            stored = await create_mission(storage.path, plan=plan, settings=settings, now_utc_s=self._clock.time())
+            stored = await create_mission(
+                storage.path,
+                plan=plan,
+                settings=settings,
+                now_utc_s=self._clock.time(),
+                extra={REFERENCE: reference},
+            )
         except PanoexecError as error:
             raise RefusedRequestError("storage", str(error)) from error
         self.offer = None
@@ -175,11 +184,16 @@ class Missions:
             raise RefusedRequestError("refused", str(error)) from error
         self.offer = None
         self._begun.clear()
-        self._next.put_nowait((stored, devices, "north"))
+        # only of weight where a process died before it could put its first event on disk
+        self._next.put_nowait((stored, devices, "heading" if stored.extra.get(REFERENCE) == "heading" else "north"))
         return directory.mission_id
 
     async def find_interrupted(self) -> bool:
-        """Look for the newest mission on disk and offer it if it can be resumed; whether a process died in it."""
+        """Look for the newest mission on disk and offer it if it can be resumed.
+
+        Returns:
+            Whether it may go on by itself: a process ended in it, while nobody had asked it to hold.
+        """
         directories = await asyncio.to_thread(mission_directories, self._config().storage.path)
         if not directories:
             return False
@@ -196,7 +210,7 @@ class Missions:
         self.offer = Offer(stored_id=name, record=record, plan=stored.plan)
         self.record, self.plan = record, stored.plan
         _log.info("an interrupted mission can be resumed", mission_id=name, state=record.state.value)
-        return record.state is not MissionState.FAILED
+        return record.state is not MissionState.FAILED and not record.asked.pause
 
     async def run(self) -> None:
         """Fly what begins, one after the other, for ever."""

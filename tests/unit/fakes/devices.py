@@ -130,6 +130,9 @@ class FakeGimbal:
     vehicle_angles: Angles = (30.0, 4.0, -6.0)
     """Yaw, pitch, roll (3-1-2) of the airframe, for the frames that are relative to it."""
     # what happened
+    other: tuple[int, int] = (255, 190)
+    """Who has control while we have not; (0, 0): nobody."""
+    acquire_s: float = 0.05
     commands: list[tuple[float, float, float]] = field(default_factory=list)
     nose: Callable[[float], float] | None = None
     """Heading of the vehicle at a time: the camera looks there when told no yaw, and its pan range is about it."""
@@ -208,8 +211,12 @@ class FakeGimbal:
             while self._under_way:
                 self.feed.push(self._under_way.popleft())
 
+    @property
+    def controlled_by(self) -> tuple[int, int] | None:
+        return (1, 191) if self.in_control else self.other
+
     async def acquire(self) -> None:
-        await self.clock.sleep(0.05)
+        await self.clock.sleep(self.acquire_s)
         if self.refuse_control > 0:
             self.refuse_control -= 1
             raise DeviceError("the gimbal manager refused control")

@@ -62,6 +62,10 @@ class _Gimbal:
     def in_control(self) -> bool:
         return self._real.in_control
 
+    @property
+    def controlled_by(self) -> tuple[int, int] | None:
+        return self._real.controlled_by
+
     async def acquire(self) -> None:
         if not self._process.dead:
             await self._real.acquire()

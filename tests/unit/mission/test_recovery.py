@@ -6,6 +6,7 @@ import asyncio
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -13,6 +14,7 @@ import pytest
 from panoexec import events as ev
 from panoexec.devices import EvidenceLevel
 from panoexec.mission.record import MissionRecord, ShotStatus, Verdict
+from panoexec.planning.model import Shot
 from panoexec.states import MissionState
 from tests.unit.fakes.checks import check_mission
 from tests.unit.fakes.process import Process
@@ -354,3 +356,51 @@ class TestGimbalAfterACrash:
                 assert world.gimbal.released == 0
 
         run_virtual(main())
+
+
+def _everything_taken(world: World) -> bool:
+    return any(isinstance(event, ev.MissionFinishing) for event in world.journal.events)
+
+
+def _slow_end(world: World) -> None:
+    certify = world.verifier.certify
+
+    async def slowly(*args: Any) -> Any:
+        await world.clock.sleep(0.5)
+        return await certify(*args)
+
+    setattr(world.verifier, "certify", slowly)  # noqa: B010
+
+
+def test_what_has_all_its_shots_needs_neither_gimbal_nor_flight_to_end() -> None:
+    """Killed over its last certificate, and resumed on the bench."""
+
+    def landed(world: World) -> bool:
+        if not _everything_taken(world):
+            return False
+        world.vehicle.change(in_air=False, mode="STABILIZED", battery_frac=0.1)
+        world.gimbal.refuse_control, world.gimbal.silent = 1000, True
+        return True
+
+    two = killed_when(landed, _slow_end)
+    assert two.record.state is S.COMPLETE
+    assert not two.second_life(ev.GimbalAcquired)
+
+
+def test_patches_of_a_resumed_mission_are_checked_like_any_other_shot() -> None:
+    def landed(world: World) -> bool:
+        if not _everything_taken(world):
+            return False
+        world.vehicle.change(in_air=False)
+        return True
+
+    def prepare(world: World) -> None:
+        _slow_end(world)
+        world.verifier.needed, world.verifier.holes = 5, (SimpleNamespace(size_deg=3.0),)
+        world.verifier.patches = [Shot(index=0, row=0, pitch_deg=-20.0, yaw_deg=45.0)]
+
+    two = killed_when(landed, prepare)
+    assert two.record.state is S.FAILED
+    assert "not in the air" in two.record.reason
+    assert not two.second_life(ev.ShotStarted)
+    assert len(two.world.gimbal.commands) == 4

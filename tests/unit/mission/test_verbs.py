@@ -194,3 +194,32 @@ def test_each_verb_is_safe_at_every_instant_of_a_photo(verb: str) -> None:
             assert state is S.COMPLETE
         else:
             assert state in {S.COMPLETE, S.INCOMPLETE}
+
+
+@pytest.mark.parametrize("verb", ["repeat", "skip", "pause", "finish", "abort", "interrupt"])
+def test_what_comes_after_the_last_decision_is_refused_and_not_forgotten(verb: str) -> None:
+    """While the gimbal is being released there is nobody left who would obey."""
+
+    async def script(world: World, mission: Mission) -> None:
+        while not releasing:
+            await world.clock.sleep(0.001)
+        seq = mission.record.seq
+        with pytest.raises(CommandRefusedError, match="the mission is over"):
+            getattr(mission.verbs, verb)()
+        assert mission.record.seq == seq
+
+    releasing: list[bool] = []
+
+    def prepare(world: World) -> None:
+        release = world.gimbal.release
+
+        async def slowly() -> None:
+            releasing.append(True)
+            await world.clock.sleep(1.0)
+            await release()
+
+        setattr(world.gimbal, "release", slowly)  # noqa: B010
+
+    world = fly(script, prepare)
+    assert world.record.state is S.COMPLETE
+    assert not world.sink.of(ev.CommandReceived)

@@ -1,0 +1,67 @@
+"""Brackets: several photos of one pose, and what comes between two of them."""
+
+from __future__ import annotations
+
+import pytest
+
+from panoexec import events as ev
+from panoexec.mission.executor import Mission
+from panoexec.mission.record import Verdict
+from panoexec.states import MissionState
+from tests.unit.fakes.flying import fly
+from tests.unit.fakes.world import World, some_settings
+
+S = MissionState
+FIVE = some_settings(brackets=5, interval_s=2.0, exposure_s=0.02)
+
+
+async def _photos(world: World, count: int) -> None:
+    while len(world.camera.photos) < count:
+        await world.clock.sleep(0.01)
+
+
+def test_a_bracket_is_one_shot_with_all_its_photos() -> None:
+    world = fly(settings=FIVE)
+    assert world.record.state is S.COMPLETE
+    assert len(world.camera.photos) == 20
+    for shot in world.record.shots.values():
+        assert [photo.number for photo in shot.attempts[0].photos] == [1, 2, 3, 4, 5]
+
+
+def test_a_pilot_need_not_wait_for_the_rest_of_a_bracket() -> None:
+    async def script(world: World, mission: Mission) -> None:
+        await _photos(world, 7)
+        world.vehicle.change(mode="STABILIZED")
+        asked = world.clock.monotonic()
+        while world.gimbal.in_control:
+            await world.clock.sleep(0.01)
+        assert world.clock.monotonic() - asked < 0.5
+        await world.clock.sleep(3.0)
+        world.vehicle.change(mode="OFFBOARD")
+        await world.clock.sleep(1.0)
+        mission.verbs.resume()
+
+    world = fly(script, settings=FIVE)
+    assert world.record.state is S.COMPLETE
+    attempts = world.record.shots[1].attempts
+    assert [(a.verdict, len(a.photos)) for a in attempts] == [(Verdict.INTERRUPTED, 2), (Verdict.ACCEPTED, 5)]
+    assert all(photo.file for photo in attempts[0].photos)  # what was taken is on record
+    assert world.record.retakes == 0
+
+
+@pytest.mark.parametrize(
+    ("verb", "state"),
+    [("abort", S.ABORTED), ("interrupt", S.PAUSED), ("finish", S.INCOMPLETE), ("skip", S.INCOMPLETE)],
+)
+def test_a_command_is_obeyed_between_two_photos(verb: str, state: MissionState) -> None:
+    async def script(world: World, mission: Mission) -> None:
+        await _photos(world, 2)
+        await world.clock.sleep(0.5)
+        getattr(mission.verbs, verb)()
+        await world.clock.sleep(1.0)
+        assert len(world.camera.photos) == 2
+        assert isinstance(world.sink.of(ev.ShotInterrupted)[0], ev.ShotInterrupted)
+
+    world = fly(script, settings=FIVE)
+    assert world.record.state is state
+    assert world.record.shots[0].attempts[0].verdict is Verdict.INTERRUPTED
