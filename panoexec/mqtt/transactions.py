@@ -3,13 +3,18 @@
 One SQLite file in the storage: a request is noted before it acts and its answer after, both durable. A request that was
 noted and never answered belongs to a process that died in between: nobody knows whether it acted, so it does not act
 again. The file also keeps the few things that the daemon must remember (`remember`, `recall`).
+
+A disk that is full or read-only may be well again: the store can be opened all the same, refuses what acts until then,
+and opens its file when it is asked for the next time.
 """
 
 from __future__ import annotations
 
 import asyncio
+import errno
 import hashlib
 import json
+import os
 import sqlite3
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -26,6 +31,10 @@ Standing: TypeAlias = Literal["new", "under way", "interrupted", "answered"]
 KEPT: Final = 10_000
 """Answers that are kept; older ones are forgotten."""
 
+_MAY_HEAL: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
+_PRIMARY: Final = 0xFF
+"""SQLite's error codes say in their low byte what happened, and above it where."""
+
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS transactions (
     id TEXT PRIMARY KEY, command TEXT NOT NULL, digest TEXT NOT NULL, boot_id TEXT NOT NULL, response TEXT,
@@ -33,6 +42,10 @@ CREATE TABLE IF NOT EXISTS transactions (
 ) STRICT;
 CREATE TABLE IF NOT EXISTS memory (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
 """
+
+
+class StorageDownError(UsageError):
+    """The storage is full, read-only or broken: nothing is wrong with the configuration."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,31 +69,61 @@ class Transactions:
         boot_id: of this process.
     """
 
-    def __init__(self, path: Path, boot_id: str, pool: ThreadPoolExecutor, connection: sqlite3.Connection) -> None:
+    def __init__(self, path: Path, boot_id: str) -> None:
         self.path = path
         self._boot_id = boot_id
-        self._pool = pool
-        self._connection = connection
+        self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="transactions")
+        self._connection: sqlite3.Connection | None = None
 
     @classmethod
-    async def open(cls, path: Path, *, boot_id: str) -> Self:
+    async def open(cls, path: Path, *, boot_id: str, patient: bool = False) -> Self:
         """Open the store, or make it.
+
+        Args:
+            path: the file.
+            boot_id: of this process.
+            patient: also if the storage is full or read-only: `opened` tries again.
 
         Raises:
             UsageError: it cannot be made, is damaged, or is in use by another daemon.
         """
-        pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="transactions")
+        store = cls(path, boot_id)
         try:
-            connection = await asyncio.get_running_loop().run_in_executor(pool, lambda: _open(path))
+            await store.opened(patient=patient)
         except BaseException:
-            pool.shutdown(wait=False)
+            store._pool.shutdown(wait=False)
             raise
-        return cls(path, boot_id, pool, connection)
+        return store
+
+    async def opened(self, *, patient: bool = True) -> str:
+        """Open the file if that was not possible yet; why the storage cannot be used, "" if it is open.
+
+        Args:
+            patient: a storage that is full or read-only is told, not raised.
+
+        Raises:
+            UsageError: it cannot be made, is damaged, or is in use by another daemon.
+        """
+        if self._connection is not None:
+            return ""
+        try:
+            await asyncio.get_running_loop().run_in_executor(self._pool, self._database)
+        except StorageDownError as error:
+            if not patient:
+                raise
+            return str(error)
+        return ""
 
     async def close(self) -> None:
         """Let the file go."""
-        await asyncio.get_running_loop().run_in_executor(self._pool, self._connection.close)
+        if self._connection is not None:
+            await asyncio.get_running_loop().run_in_executor(self._pool, self._connection.close)
         self._pool.shutdown(wait=False)
+
+    def _database(self) -> sqlite3.Connection:
+        if self._connection is None:
+            self._connection = _open(self.path)
+        return self._connection
 
     async def note(self, request: Request) -> Noted:
         """Note that a request is going to act, durably, unless it is known.
@@ -100,9 +143,9 @@ class Transactions:
         key = _key(request)
 
         def write() -> None:
-            with self._connection:
-                self._connection.execute("UPDATE transactions SET response = ? WHERE id = ?", (response, key))
-                self._connection.execute(
+            with self._database() as database:
+                database.execute("UPDATE transactions SET response = ? WHERE id = ?", (response, key))
+                database.execute(
                     "DELETE FROM transactions WHERE number <= (SELECT MAX(number) FROM transactions) - ?", (KEPT,)
                 )
 
@@ -116,11 +159,11 @@ class Transactions:
         """
 
         def write() -> None:
-            with self._connection:
+            with self._database() as database:
                 if value is None:
-                    self._connection.execute("DELETE FROM memory WHERE key = ?", (key,))
+                    database.execute("DELETE FROM memory WHERE key = ?", (key,))
                 else:
-                    self._connection.execute("INSERT OR REPLACE INTO memory VALUES (?, ?)", (key, value))
+                    database.execute("INSERT OR REPLACE INTO memory VALUES (?, ?)", (key, value))
 
         await self._run(write)
 
@@ -128,18 +171,18 @@ class Transactions:
         """What was kept under that name."""
 
         def read() -> str | None:
-            row = self._connection.execute("SELECT value FROM memory WHERE key = ?", (key,)).fetchone()
+            row = self._database().execute("SELECT value FROM memory WHERE key = ?", (key,)).fetchone()
             return None if row is None else str(row[0])
 
         return await self._run(read)
 
     def _note(self, key: str, command: str, digest: str) -> Noted:
-        with self._connection:
-            row = self._connection.execute(
+        with self._database() as database:
+            row = database.execute(
                 "SELECT command, digest, boot_id, response FROM transactions WHERE id = ?", (key,)
             ).fetchone()
             if row is None:
-                self._connection.execute(
+                database.execute(
                     "INSERT INTO transactions SELECT ?, ?, ?, ?, NULL, COALESCE(MAX(number), 0) + 1 FROM transactions",
                     (key, command, digest, self._boot_id),
                 )
@@ -161,6 +204,8 @@ class Transactions:
             raise RefusedRequestError(
                 "storage", f"{self.path}: cannot be written ({error}); nothing was done"
             ) from error
+        except UsageError as error:
+            raise RefusedRequestError("storage", f"{error}; nothing was done") from error
 
 
 def _key(request: Request) -> str:
@@ -175,15 +220,10 @@ def _digest(request: Request) -> str:
 def _open(path: Path) -> sqlite3.Connection:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        connection = sqlite3.connect(path, timeout=1.0, check_same_thread=False)
-        connection.execute("PRAGMA locking_mode = EXCLUSIVE")
-        connection.execute("PRAGMA journal_mode = WAL")
-        connection.execute("PRAGMA synchronous = FULL")
-        connection.execute("BEGIN EXCLUSIVE")  # takes the lock now: two daemons must not share a storage
-        connection.execute("COMMIT")
-        connection.executescript(_SCHEMA)
+        return _prepared(sqlite3.connect(path, timeout=1.0, check_same_thread=False))
     except OSError as error:
-        raise UsageError(
+        kind = StorageDownError if error.errno in _MAY_HEAL else UsageError
+        raise kind(
             f"storage.path {path.parent}: cannot be used ({error.strerror}); give a folder that the service can write"
         ) from error
     except sqlite3.OperationalError as error:
@@ -191,7 +231,34 @@ def _open(path: Path) -> sqlite3.Connection:
             raise UsageError(
                 f"storage.path {path.parent}: in use by another panoexec; stop that one, or give each its own"
             ) from error
+        if _is_down(error, path.parent):
+            raise StorageDownError(
+                f"storage.path {path.parent}: cannot be written ({error}); make room, or have the disk looked at"
+            ) from error
         raise UsageError(f"{path}: cannot be opened ({error}); give a folder that the service can write") from error
     except sqlite3.DatabaseError as error:
         raise UsageError(f"{path}: damaged ({error}); move it away to start afresh, missions are not in it") from error
+
+
+def _prepared(connection: sqlite3.Connection) -> sqlite3.Connection:
+    try:
+        connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute("BEGIN EXCLUSIVE")  # takes the lock now: two daemons must not share a storage
+        connection.execute("COMMIT")
+        connection.executescript(_SCHEMA)
+    except BaseException:
+        connection.close()
+        raise
     return connection
+
+
+def _is_down(error: sqlite3.OperationalError, folder: Path) -> bool:
+    """Whether it is the disk's fault, and not that of who was named as its user or of the name."""
+    if error.sqlite_errorcode & _PRIMARY in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
+        return True
+    try:
+        return bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
+    except OSError:
+        return False

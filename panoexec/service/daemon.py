@@ -26,6 +26,7 @@ from panoexec.planning.model import Plan
 from panoexec.sdnotify import SystemdNotifier
 from panoexec.service.commands import Commands
 from panoexec.service.missions import Missions
+from panoexec.service.storage import storage_trouble
 from panoexec.service.vehicle_link import VehicleLink
 from panoexec.states import MissionState
 
@@ -36,6 +37,7 @@ _IDLE_BEAT_S: Final = 15.0
 _STUCK_S: Final = 45.0
 _STOP_S: Final = 60.0
 _FAREWELL_S: Final = 5.0
+_STORAGE_S: Final = 15.0
 _RELOADABLE: Final = ("gimbal", "camera", "pointing", "guards", "mission", "log")
 
 _log = structlog.get_logger(__name__)
@@ -82,6 +84,8 @@ class Daemon:
         self._seq = 0
         self._beat_s = time.monotonic()
         self._published_plan: Plan | None = None
+        self._storage_trouble = ""
+        self._taken_up = False
         self.vehicle = VehicleLink(config, clock=clock, changed=self._changed.set)
         self.missions = Missions(config=lambda: self.config, clock=clock, sink=self, changed=self._mission_changed)
         self.mqtt: MqttLink | None = None
@@ -98,9 +102,11 @@ class Daemon:
         """Run until `stop`, or SIGTERM, or SIGINT.
 
         Raises:
-            UsageError: the storage cannot be used.
+            UsageError: the storage cannot be used, and not because it is full or read-only.
         """
-        transactions = await Transactions.open(self.config.storage.path / "transactions.sqlite", boot_id=self.boot_id)
+        transactions = await Transactions.open(
+            self.config.storage.path / "transactions.sqlite", boot_id=self.boot_id, patient=True
+        )
         loop = asyncio.get_running_loop()
         handlers: dict[signal.Signals, Callable[[], None]] = {
             signal.SIGTERM: self.stop,
@@ -139,8 +145,7 @@ class Daemon:
             respond=self._respond,
             refresh=self._refresh,
         )
-        await self._commands.restore()
-        died_in_it = await self.missions.find_interrupted()
+        go_on = await self._look_at_storage(transactions)
         self._publish_plan()
         self._publish_state()
         if self.mqtt is not None:
@@ -148,12 +153,36 @@ class Daemon:
         group.create_task(self.vehicle.run(), name="vehicle link")
         group.create_task(self.missions.run(), name="missions")
         group.create_task(self._publish(), name="state")
+        group.create_task(self._keep_looking(group, transactions), name="storage")
         if self._notifier.watchdog_s is not None:
             group.create_task(self._feed_watchdog(self._notifier.watchdog_s), name="watchdog")
-        if died_in_it and self.config.mission.resume == "auto":
+        if go_on:
             group.create_task(self._go_on(), name="resume")
         self._notifier.ready(self._status_line())
         _log.info("ready", vehicle=self.config.vehicle.id, boot_id=self.boot_id, broker=self.config.mqtt.host)
+
+    async def _look_at_storage(self, transactions: Transactions) -> bool:
+        """See whether missions can be kept; once they can be read, whether to go on with one by ourselves."""
+        closed = await transactions.opened()
+        trouble = closed or await asyncio.to_thread(storage_trouble, self.config.storage)
+        if trouble != self._storage_trouble:
+            self._storage_trouble = trouble
+            _log.warning("storage", trouble=trouble or "none any more")
+            self._changed.set()
+        if closed or self._taken_up:
+            return False
+        self._taken_up = True
+        assert self._commands is not None
+        await self._commands.restore()
+        if self.missions.busy:
+            return False
+        return await self.missions.find_interrupted() and self.config.mission.resume == "auto"
+
+    async def _keep_looking(self, group: asyncio.TaskGroup, transactions: Transactions) -> None:
+        while True:
+            await asyncio.sleep(_STORAGE_S)
+            if await self._look_at_storage(transactions):
+                group.create_task(self._go_on(), name="resume")
 
     async def _farewell(self) -> None:
         _log.info("stopping")
@@ -234,11 +263,12 @@ class Daemon:
         offered = offer is not None and mission is None
         battery = self.vehicle.status.battery_frac
         eta = mission.eta_s if mission is not None and record is not None and record.state in FLYING else math.nan
-        state, reason = MissionState.IDLE, self.vehicle.lacking
+        state, reason = MissionState.IDLE, self._lacking
         if record is not None and not (offered and record.state in FLYING):
             state, reason = record.state, record.reason
         elif offered:
             reason = "the mission was interrupted and can be resumed"
+            reason += f": {self.missions.trouble}" if self.missions.trouble else ""
         return State(
             state=state,
             mission_id=None if record is None else record.mission_id,
@@ -256,6 +286,11 @@ class Daemon:
             seq=self._seq,
             time=datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z"),
         )
+
+    @property
+    def _lacking(self) -> str:
+        """Why no mission could begin; "" if one could."""
+        return "; ".join(part for part in (self.vehicle.lacking, self._storage_trouble) if part)
 
     def _mission_changed(self) -> None:
         self._publish_plan()
@@ -300,7 +335,7 @@ class Daemon:
     def _status_line(self) -> str:
         record = self.missions.record
         if record is None or not self.missions.busy:
-            return f"idle; {self.vehicle.lacking or 'vehicle ready'}"
+            return f"idle; {self._lacking or 'vehicle ready'}"
         return f"{record.state.value}: shot {record.shots_done}/{record.shots_total} of {record.mission_id}"
 
     # --- signs of life

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import shutil
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -13,6 +12,7 @@ import structlog
 
 from panoexec.clock import Clock
 from panoexec.config import Config
+from panoexec.devices import Severity, Vehicle
 from panoexec.errors import PanoexecError
 from panoexec.events import Event, EventSink
 from panoexec.leavings import write_leavings
@@ -31,6 +31,7 @@ from panoexec.mission_session import (
 )
 from panoexec.mqtt.messages import RefusedRequestError
 from panoexec.planning.model import Plan
+from panoexec.service.storage import storage_trouble
 from panoexec.states import ENDED, MissionState
 
 Reference = Literal["north", "heading"]
@@ -39,6 +40,7 @@ REFERENCE: Final = "reference"
 """What a mission's journal keeps beside: the wish that it began with."""
 
 _ENDING_S: Final = 30.0
+_SAY_S: Final = 3.0
 
 _log = structlog.get_logger(__name__)
 
@@ -66,6 +68,7 @@ class Missions:
         plan: its plan.
         mission: the executor while one flies.
         offer: the interrupted mission that `resume` goes on with.
+        trouble: the error that ended the last mission; "" if none did.
     """
 
     def __init__(
@@ -88,6 +91,7 @@ class Missions:
         self.plan: Plan | None = None
         self.mission: Mission | None = None
         self.offer: Offer | None = None
+        self.trouble = ""
         self._config = config
         self._clock = clock
         self._sink = sink
@@ -216,6 +220,7 @@ class Missions:
         """Fly what begins, one after the other, for ever."""
         while True:
             stored, devices, reference = await self._next.get()
+            self.trouble = ""
             try:
                 await self._flown(stored, devices, reference)
                 await self._leave(stored)
@@ -229,9 +234,17 @@ class Missions:
         try:
             await self._fly(stored, devices, reference)
         except (PanoexecError, ValueError, OSError) as error:
+            self.trouble = str(error)
             _log.error("mission ended by an error", mission_id=stored.directory.mission_id, error=str(error))
+            await self._tell_pilot(devices.vehicle)
         finally:
             self.mission, self._over = None, True
+
+    async def _tell_pilot(self, vehicle: Vehicle) -> None:
+        """A mission whose journal fails cannot announce its end itself."""
+        with contextlib.suppress(PanoexecError, TimeoutError):
+            async with asyncio.timeout(_SAY_S):
+                await vehicle.say(f"Pano: ended by an error: {self.trouble}", Severity.ERROR)
 
     @staticmethod
     async def _leave(stored: StoredMission) -> None:
@@ -281,9 +294,6 @@ class Missions:
     def _check_space(self) -> None:
         storage = self._config().storage
         storage.path.mkdir(parents=True, exist_ok=True)
-        free_mb = shutil.disk_usage(storage.path).free / 1e6
-        if free_mb < storage.min_free_mb:
-            raise RefusedRequestError(
-                "storage",
-                f"{storage.path} has {free_mb:.0f} MB left: [storage] min_free_mb asks for {storage.min_free_mb:g}",
-            )
+        trouble = storage_trouble(storage)
+        if trouble:
+            raise RefusedRequestError("storage", trouble)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import errno
+import sqlite3
 from pathlib import Path
 
 import pytest
 
 from panoexec.errors import UsageError
+from panoexec.mqtt import transactions
 from panoexec.mqtt.messages import RefusedRequestError, Request, parse_request
 from panoexec.mqtt.outbox import Outbox, Outgoing
-from panoexec.mqtt.transactions import Transactions
+from panoexec.mqtt.transactions import StorageDownError, Transactions
 
 
 def a_request(transaction: object = '"a"', command: str = "pause", more: str = "") -> Request:
@@ -79,6 +82,36 @@ async def test_says_what_is_wrong_with_the_storage(tmp_path: Path) -> None:
     (tmp_path / "t.sqlite").write_bytes(b"no database at all" * 100)
     with pytest.raises(UsageError, match=r"damaged .* move it away"):
         await Transactions.open(tmp_path / "t.sqlite", boot_id="b")
+
+
+async def test_a_disk_that_is_full_may_be_well_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: sqlite3.Connection) -> sqlite3.Connection:
+        error = sqlite3.OperationalError("database or disk is full")
+        error.sqlite_errorcode = sqlite3.SQLITE_FULL
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(transactions, "_prepared", full)
+        with pytest.raises(StorageDownError, match=r"cannot be written \(database or disk is full\); make room"):
+            await Transactions.open(tmp_path / "t.sqlite", boot_id="b")
+        store = await Transactions.open(tmp_path / "t.sqlite", boot_id="b", patient=True)
+        assert "make room" in await store.opened()
+        with pytest.raises(RefusedRequestError, match="nothing was done") as refused:
+            await store.note(a_request())
+        assert refused.value.code == "storage"
+    assert (await store.note(a_request())).standing == "new"
+    assert await store.opened() == ""
+    await store.close()
+
+
+async def test_a_storage_that_never_was_well_can_be_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def read_only(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(Path, "mkdir", read_only)
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="b", patient=True)
+    assert "Read-only file system" in await store.opened()
+    await store.close()
 
 
 def message(topic: str, payload: bytes = b"x", *, retain: bool = False) -> Outgoing:

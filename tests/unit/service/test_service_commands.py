@@ -163,7 +163,7 @@ async def test_whatever_goes_wrong_becomes_an_answer(tmp_path: Path, error: Exce
 
 async def test_a_disk_that_is_full_refuses_what_acts_and_answers_the_rest(tmp_path: Path) -> None:
     async with a_desk(tmp_path) as desk:
-        desk.commands._transactions._connection.execute("PRAGMA query_only = ON")
+        desk.commands._transactions._database().execute("PRAGMA query_only = ON")
         desk.ask("set_profile", 1, camera="dji-x5s-45mm")
         desk.ask("get", 2)
         await desk.heard(2)
