@@ -9,6 +9,9 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+_PACKAGED = "/usr/lib/panoexec/"
+"""Where `packaging/stage` puts panoexec; nothing can be installed there by pip."""
+
 
 class PanoexecError(Exception):
     """Root of all errors raised on purpose; its text is fit to be shown to a user as it is."""
@@ -42,6 +45,17 @@ class PlanningError(UsageError):
 
 class DependencyError(UsageError):
     """An optional part of panoexec is not installed; the message says how to install it."""
+
+
+def to_install(extra: str) -> str:
+    """How to get an optional part of panoexec: what to type, or where it is to be had.
+
+    Args:
+        extra: one of the extras in pyproject.toml.
+    """
+    if __file__.startswith(_PACKAGED):
+        return "the Debian package leaves it out, being for vehicles; take a clone, where `make dry-run` installs it"
+    return f"pip install 'panoexec[{extra}]'"
 
 
 class DeviceError(PanoexecError):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from panoexec.angles import FloatArray, elevation_azimuth
-from panoexec.errors import DependencyError, UsageError
+from panoexec.errors import DependencyError, UsageError, to_install
 from panoexec.files import write_atomically_with
 from panoexec.planning.coverage_map import box_mask, coverage_count
 from panoexec.planning.footprint import outline
@@ -111,7 +111,7 @@ def _matplotlib(module: str) -> Any:
     try:
         return importlib.import_module(f"matplotlib.{module}" if module else "matplotlib")
     except ImportError as error:
-        raise DependencyError("plots need matplotlib: pip install 'panoexec[report]'") from error
+        raise DependencyError(f"plots need matplotlib: {to_install('report')}") from error
 
 
 def _set_up_axes(axes: Axes) -> None:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import panoexec
-from panoexec.errors import DependencyError, PanoexecError, UsageError
+from panoexec.errors import DependencyError, PanoexecError, UsageError, to_install
 
 EXIT_DONE = 0
 EXIT_INTERRUPTED = 130
@@ -105,9 +105,7 @@ def _dispatch(argv: list[str]) -> int:
     if verb is None:
         raise UsageError(_unknown_verb(name))
     module = _load(name, verb)
-    # negative numbers are values here (--elevation -90 30); no option looks like one
-    parser = Parser(prog=f"panoexec {name}", description=module.__doc__, formatter_class=_Formatter, allow_abbrev=False)
-    module.add_arguments(parser)
+    parser = parser_of(name, module)
     try:
         # options may stand between a verb's fields where it says so
         parse = parser.parse_intermixed_args if getattr(module, "INTERMIXED", False) else parser.parse_args
@@ -117,13 +115,23 @@ def _dispatch(argv: list[str]) -> int:
     return int(module.run(args))
 
 
+def parser_of(name: str, module: Any) -> Parser:
+    """The parser of one verb, given its module.
+
+    Negative numbers are values here (--elevation -90 30); no option looks like one.
+    """
+    parser = Parser(prog=f"panoexec {name}", description=module.__doc__, formatter_class=_Formatter, allow_abbrev=False)
+    module.add_arguments(parser)
+    return parser
+
+
 def _load(name: str, verb: Verb) -> Any:
     try:
         return importlib.import_module(f"panoexec.cli.{verb.module}")
     except ModuleNotFoundError as error:
         if verb.extra and error.name and not error.name.startswith("panoexec"):
             raise DependencyError(
-                f"`{name}` needs the Python package {error.name}: install it with  pip install 'panoexec[{verb.extra}]'"
+                f"`{name}` needs the Python package {error.name}: {to_install(verb.extra)}"
             ) from error
         raise
 

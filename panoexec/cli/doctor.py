@@ -86,10 +86,6 @@ def _show(findings: Findings) -> None:
             f"{finding.area}: {finding.check}", Text(finding.verdict.value, style=_STYLES[finding.verdict]), text
         )
     console().print(table)
-    counts = ", ".join(
-        f"{findings.count(verdict)} {name}"
-        for verdict, name in ((Verdict.MISSING, "missing"), (Verdict.WARNING, "warnings"), (Verdict.OK, "ok"))
-    )
-    print(
-        f"{counts}: {'nothing speaks against a mission' if findings.exit_code == 0 else 'no mission can be flown so'}"
-    )
+    missing, warnings, fine = (findings.count(v) for v in (Verdict.MISSING, Verdict.WARNING, Verdict.OK))
+    verdict = "nothing speaks against a mission" if findings.exit_code == 0 else "no mission can be flown like this"
+    print(f"{missing} missing, {warnings} warning{'' if warnings == 1 else 's'}, {fine} ok: {verdict}")

@@ -36,7 +36,7 @@ from panoexec.cli.planning_options import (
     timing_of,
 )
 from panoexec.dryrun import DryRunOptions, DryRunSummary, resume_dry_run, run_dry_run
-from panoexec.errors import DependencyError, UsageError
+from panoexec.errors import DependencyError, UsageError, to_install
 from panoexec.logs import configure_logs
 from panoexec.mission.settings import MissionSettings
 from panoexec.planfile import read_plan_file
@@ -97,9 +97,7 @@ def run(args: argparse.Namespace) -> int:
     """Fly, with a live view, and sum up."""
     for package in ("pymavlink", "PIL"):
         if importlib.util.find_spec(package) is None:
-            raise DependencyError(
-                f"`dry-run` needs the Python package {package}: install it with  pip install 'panoexec[sim]'"
-            )
+            raise DependencyError(f"`dry-run` needs the Python package {package}: {to_install('sim')}")
     configure_logs("debug" if args.verbose else "warning", "human")
     if args.scene:
         load_scene(args.scene)  # refused here, before any work

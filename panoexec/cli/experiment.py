@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from panoexec.cli.output import completeness, console, note, percent, print_json, print_table
-from panoexec.errors import DependencyError
+from panoexec.errors import DependencyError, to_install
 
 if TYPE_CHECKING:
     from panoexec.experiment.capture import Spread
@@ -69,9 +69,7 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         if error.name and error.name.startswith("panoexec"):
             raise
-        raise DependencyError(
-            f"`experiment` needs the Python package {error.name}: install it with  pip install 'panoexec[sim]'"
-        ) from error
+        raise DependencyError(f"`experiment` needs the Python package {error.name}: {to_install('sim')}") from error
     scenarios = (1, 2, 3) if args.scenario == "all" else (int(args.scenario),)
     wanted = cases(scenarios, tuple(dict.fromkeys(args.plans)), args.seeds, args.repeats)
     if args.geometry:

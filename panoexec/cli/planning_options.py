@@ -74,21 +74,31 @@ def add_camera_arguments(parser: argparse.ArgumentParser, *, required: bool) -> 
     group.add_argument("--focal-length", type=positive, metavar="MM", help="for zooms: within the profile's range")
 
 
-def add_constraint_arguments(parser: argparse.ArgumentParser) -> None:
-    """Overlaps, band, tolerances, masks."""
+def add_constraint_arguments(parser: argparse.ArgumentParser, *, of_file: bool = False) -> None:
+    """Overlaps, band, tolerances, masks.
+
+    Args:
+        parser: gets them as a group.
+        of_file: whether what is not given comes from a plan file, and only then from the defaults.
+    """
+    first = "the file's, else " if of_file else ""
     group = parser.add_argument_group("panorama (angles in degrees: elevation -90 = nadir, azimuth clockwise)")
-    group.add_argument("--overlap", type=number, metavar="F", help="least overlap, a fraction of the image (0.15)")
+    group.add_argument(
+        "--overlap", type=number, metavar="F", help=f"least overlap, a fraction of the image ({first}{DEFAULT_OVERLAP})"
+    )
     group.add_argument("--overlap-h", type=number, metavar="F", help="of neighbours in a row, instead of --overlap")
     group.add_argument("--overlap-v", type=number, metavar="F", help="of neighbouring rows, instead of --overlap")
-    group.add_argument("--elevation", type=number, nargs=2, metavar=("MIN", "MAX"), help="band to cover (-90 30)")
     group.add_argument(
-        "--azimuth", type=number, nargs=2, metavar=("MIN", "MAX"), help="sector to cover (the full circle)"
+        "--elevation", type=number, nargs=2, metavar=("MIN", "MAX"), help=f"band to cover ({first}-90 30)"
+    )
+    group.add_argument(
+        "--azimuth", type=number, nargs=2, metavar=("MIN", "MAX"), help=f"sector to cover ({first}the full circle)"
     )
     for axis in ("pitch", "roll", "yaw"):
         default = getattr(DEFAULT_TOLERANCE, f"{axis}_deg")
-        nose = f"; {NOSE_TOLERANCE_DEG:g} with --yaw vehicle" if axis == "yaw" else ""
+        nose = f"; {NOSE_TOLERANCE_DEG:g} with --yaw vehicle" if axis == "yaw" and not of_file else ""
         group.add_argument(
-            f"--tolerance-{axis}", type=number, metavar="DEG", help=f"largest {axis} error ({default:g}{nose})"
+            f"--tolerance-{axis}", type=number, metavar="DEG", help=f"largest {axis} error ({first}{default:g}{nose})"
         )
     group.add_argument(
         "--guarantee", choices=("coverage", "all"), help="what holds for every error: coverage, or the overlaps too"

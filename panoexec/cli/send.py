@@ -6,7 +6,7 @@ Fields are KEY=VALUE, where VALUE is JSON if it reads as JSON and a text otherwi
 Examples:
   panoexec send get
   panoexec send plan camera=dji-x5s-15mm overlap=0.2
-  panoexec send start elevation_deg=[-60,10] tolerance_deg.yaw=0.5
+  panoexec send start 'elevation_deg=[-60,10]' tolerance_deg.yaw=0.5
   panoexec send start --plan plan.json
   panoexec send skip shot=12
 """

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from panoexec.camera_profiles import load_profile
 from panoexec.cli.output import note
 from panoexec.cli.planning_options import add_camera_arguments
-from panoexec.errors import DependencyError
+from panoexec.errors import DependencyError, to_install
 from panoexec.sim.config import DEFAULT_PORTS, CameraConfig, SimConfig
 from panoexec.sim.options import add_arguments as add_simulation_arguments
 from panoexec.sim.options import config_of
@@ -39,9 +39,7 @@ def run(args: argparse.Namespace) -> int:
     config = config_of(args, simulated_camera(args))
     for package in ("pymavlink", "PIL"):
         if importlib.util.find_spec(package) is None:
-            raise DependencyError(
-                f"`simulate` needs the Python package {package}: install it with  pip install 'panoexec[sim]'"
-            )
+            raise DependencyError(f"`simulate` needs the Python package {package}: {to_install('sim')}")
     from panoexec.sim.server import run_simulation  # noqa: PLC0415  (imports pymavlink)
 
     def ready(state: Ready) -> None:

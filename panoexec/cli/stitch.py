@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from panoexec.cli.output import completeness, console, note, print_facts, print_json, print_table
-from panoexec.errors import DependencyError, UsageError
+from panoexec.errors import DependencyError, UsageError, to_install
 from panoexec.mission_dir import MissionDirectory
 
 if TYPE_CHECKING:
@@ -54,9 +54,7 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         if error.name and error.name.startswith("panoexec"):
             raise
-        raise DependencyError(
-            f"`stitch` needs the Python package {error.name}: install it with  pip install 'panoexec[report]'"
-        ) from error
+        raise DependencyError(f"`stitch` needs the Python package {error.name}: {to_install('report')}") from error
     mission = load_mission(args.mission)
     for name, reason in mission.left_out.items():
         note(f"left out: {name} {reason}")

@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     parser.add_argument("plan", type=Path, metavar="PLAN.json|NAME", help="a plan file, or a published plan")
     add_camera_arguments(parser, required=False)
-    add_constraint_arguments(parser)
+    add_constraint_arguments(parser, of_file=True)
     output = parser.add_argument_group("output")
     output.add_argument("--output", type=Path, metavar="PLAN.json", help="write the plan with its verdict")
     output.add_argument("--plot", type=Path, metavar="FILE.png|.svg", help="draw the footprints and what fails")

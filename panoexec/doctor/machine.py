@@ -142,12 +142,14 @@ def examine_permissions(config: Config, config_file: Path, findings: Findings) -
     """What this user may do, and whether it is the one that the service runs as."""
     owner = _owner(config.storage.path)
     if os.geteuid() == 0 and owner not in ("", "root"):
+        # the service has this group by its drop-in for serial ports; its user alone has not
+        groups = f" -g {owner} -G dialout" if config.vehicle.serial or _devices(config) else ""
         findings.warning(
             "permissions",
             "user",
             f"root, but {config.storage.path} belongs to {owner}",
             needed="an examination as the user of the service: root may do everything",
-            advice=f"sudo -u {owner} panoexec doctor --config {config_file}",
+            advice=f"runuser -u {owner}{groups} -- panoexec doctor --config {config_file}",
         )
     else:
         findings.note("permissions", "user", _user())

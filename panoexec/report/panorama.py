@@ -16,6 +16,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from panoexec.angles import FloatArray, rotation_from_quaternion
+from panoexec.errors import to_install
 from panoexec.report.source import Source
 
 QUICK_WIDTH_PX: Final = 2048
@@ -52,7 +53,7 @@ def best_picture(source: Source, *, patience_s: float = math.inf) -> tuple[Panor
     try:
         import PIL.Image  # noqa: F401, PLC0415 - optional dependency
     except ImportError:
-        return _stitched_as_it_is(source), "needs Pillow: pip install 'panoexec[report]', then `panoexec report`"
+        return _stitched_as_it_is(source), f"needs Pillow: {to_install('report')}, then `panoexec report`"
     stitched = _stitched(source)
     if stitched is not None:
         return stitched, ""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 
-from panoexec.errors import DependencyError
+from panoexec.errors import DependencyError, to_install
 
 os.environ["MAVLINK20"] = "1"
 os.environ["MAVLINK_DIALECT"] = "ardupilotmega"
@@ -16,8 +16,6 @@ os.environ["MAVLINK_DIALECT"] = "ardupilotmega"
 try:
     from pymavlink.dialects.v20 import ardupilotmega as mavlink
 except ImportError as error:
-    raise DependencyError(
-        "the simulated vehicle needs pymavlink and Pillow: install them with pip install 'panoexec[sim]'"
-    ) from error
+    raise DependencyError(f"the simulated vehicle needs pymavlink and Pillow: {to_install('sim')}") from error
 
 __all__ = ["mavlink"]

@@ -13,7 +13,7 @@ import numpy as np
 
 from panoexec.angles import rotation_from_quaternion, yaw_pitch_roll
 from panoexec.devices import Quaternion
-from panoexec.errors import DependencyError
+from panoexec.errors import DependencyError, to_install
 from panoexec.files import write_atomically
 from panoexec.sim.landscape import Image
 from panoexec.xmp import Position, attitude_properties, packet, with_xmp
@@ -23,7 +23,7 @@ try:
     import PIL.Image
     from PIL.TiffImagePlugin import IFDRational
 except ImportError as _error:
-    raise DependencyError("the simulated camera needs Pillow: pip install 'panoexec[sim]'") from _error
+    raise DependencyError(f"the simulated camera needs Pillow: {to_install('sim')}") from _error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

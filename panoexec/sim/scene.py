@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from panoexec.errors import DependencyError, InputFileError
+from panoexec.errors import DependencyError, InputFileError, to_install
 from panoexec.sim.landscape import Image, Landscape
 
 DEFAULT_WIDTH_PX: Final = 4096
@@ -66,7 +66,7 @@ def load_scene(path: Path) -> Scene:
     try:
         import PIL.Image  # noqa: PLC0415 - optional dependency
     except ImportError as error:
-        raise DependencyError("pictures need Pillow: pip install 'panoexec[sim]'") from error
+        raise DependencyError(f"pictures need Pillow: {to_install('sim')}") from error
     try:
         with warnings.catch_warnings():
             # a gigapixel-sized scene is what the user asked for; the bounds are checked below, before pixels are read

@@ -28,6 +28,8 @@ _DRAIN_S = 60.0
 _BEHIND_S = 0.5
 """Wall time by which the simulation may be late before it says so."""
 _RECONNECT_S = 15.0
+_SILENT_WAIT_S = 1.0
+"""Wall time after which it says that it waits for an autopilot."""
 _CATCH_UP_S = 0.5
 """Wall time for coming to the autopilot's time at once; the rest follows with its next message."""
 
@@ -132,10 +134,16 @@ class Server:
         with self._signals():
             truth = _open_truth(config)
             try:
-                outlet = Outlet(await _open_link(config), config.system_id)
+                link = await self._reach()
             except BaseException:
                 truth.close()
                 raise
+            if link is None:
+                truth.close()
+                return Summary(
+                    photos=0, written=0, failures=(), simulated_s=0.0, latest_s=0.0, interrupted=self._interrupted
+                )
+            outlet = Outlet(link, config.system_id)
             try:
                 async with _darkroom(config) as darkroom:
                     simulation = Simulation(
@@ -149,6 +157,21 @@ class Server:
             finally:
                 outlet.link.close()
                 truth.close()
+
+    async def _reach(self) -> UdpLink | TcpLink | None:
+        """Open the link, which may have to wait for an autopilot; None if told to end meanwhile."""
+        opening = asyncio.create_task(_open_link(self._config), name="open the link")
+        stopping = asyncio.create_task(self._stop.wait(), name="stop")
+        try:
+            await asyncio.wait({opening, stopping}, timeout=_SILENT_WAIT_S, return_when=asyncio.FIRST_COMPLETED)
+            if not opening.done() and not stopping.done():
+                self._note(f"waiting for an autopilot at {self._config.attach_url}")
+                await asyncio.wait({opening, stopping}, return_when=asyncio.FIRST_COMPLETED)
+            return await opening if opening.done() else None
+        finally:
+            opening.cancel()
+            stopping.cancel()
+            await asyncio.gather(opening, stopping, return_exceptions=True)
 
     async def _serve(self, simulation: Simulation, outlet: Outlet, darkroom: Darkroom | None) -> Summary:
         self._adopt(outlet.link, simulation)

@@ -215,6 +215,21 @@ async def test_attaching_waits_for_the_autopilot_and_gives_up() -> None:
         await attach(f"tcp:127.0.0.1:{port}", patience_s=0.3)
 
 
+@pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 0)])
+def test_it_ends_at_once_while_it_waits_for_an_autopilot(stop: signal.Signals, code: int) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))  # and nobody listens
+        url = f"tcp:127.0.0.1:{port_of(taken)}"
+        with subprocess.Popen([*SIMULATE, "--attach", url], stderr=subprocess.PIPE, text=True) as process:
+            assert process.stderr is not None
+            assert process.stderr.readline() == f"waiting for an autopilot at {url}\n"
+            process.send_signal(stop)
+            _, err = process.communicate(timeout=20)  # it would wait for 30 s
+    assert process.returncode == code
+    assert "Traceback" not in err
+    assert "payload attached" not in err
+
+
 async def test_the_payload_joins_an_autopilot_again_that_restarts() -> None:
     """A restarting SITL closes its TCP port and opens it again."""
     connections: asyncio.Queue[tuple[asyncio.StreamReader, asyncio.StreamWriter]] = asyncio.Queue()

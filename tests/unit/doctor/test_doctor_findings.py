@@ -137,6 +137,25 @@ def test_the_kernel_can_be_asked() -> None:
     assert machine.clock_synchronised() in (True, False, None)
 
 
+@pytest.mark.parametrize(
+    ("vehicle", "user"),
+    [
+        ({"connection": "udpin://0.0.0.0:14540"}, "runuser -u panoexec -- panoexec doctor"),
+        ({"serial": "auto"}, "runuser -u panoexec -g panoexec -G dialout -- panoexec doctor"),
+    ],
+)
+def test_root_is_told_how_to_look_as_the_service(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, vehicle: dict[str, object], user: str
+) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    monkeypatch.setattr(Path, "owner", lambda _: "panoexec")
+    findings = Findings()
+    machine.examine_permissions(a_config(tmp_path, vehicle=vehicle), tmp_path / "c.toml", findings)
+    (finding,) = findings.all
+    assert finding.verdict == "warning"
+    assert finding.advice == f"{user} --config {tmp_path / 'c.toml'}"
+
+
 def test_serial_devices_must_be_there_and_ours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     device = tmp_path / "ttyACM0"
     device.write_text("")
