@@ -178,12 +178,15 @@ def test_targets_benchmarks_and_modules_are_there(document: Path) -> None:
 
 @each_document
 def test_switches_and_keys_are_there(document: Path) -> None:
-    """Environment variables of ours, and `[section] key` of the configuration."""
+    """Environment variables of ours, and keys of the configuration as `[section] key` or PANOEXEC_SECTION__KEY."""
     text = text_of(document)
-    sources = "\n".join(
-        path.read_text(encoding="utf-8") for f in ("panoexec", "tests") for path in (ROOT / f).rglob("*.py")
-    )
-    for name in re.findall(r"\bPANOEXEC_\w+", text):
-        assert f'"{name}"' in sources, f"{document.name}: {name}"
-    for section, key in re.findall(r"`\[(\w+)\] (\w+)", text):
+    code = [path.read_text(encoding="utf-8") for f in ("panoexec", "tests") for path in (ROOT / f).rglob("*.py")]
+    sources = "\n".join(code)
+    keys = re.findall(r"`\[(\w+)\] (\w+)", text)
+    for name in re.findall(r"\bPANOEXEC_(\w+)", text):
+        if "__" in name:
+            keys.append(tuple(name.lower().split("__")))
+        else:
+            assert f'"PANOEXEC_{name}"' in sources, f"{document.name}: PANOEXEC_{name}"
+    for section, key in keys:
         assert key in type(getattr(Config(), section)).model_fields, f"{document.name}: [{section}] {key}"
