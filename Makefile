@@ -5,7 +5,7 @@ BIN     := $(VENV)/bin
 ARGS    ?=
 WORKERS ?= 4
 
-.PHONY: dry-run experiment test check format bench deb install clean help
+.PHONY: dry-run experiment test check format bench deb install uninstall clean help
 
 help:            ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
@@ -38,10 +38,11 @@ deb: $(VENV)/bin/python   ## build dist/panoexec_VERSION_ARCH.deb for this Debia
 	@.ci/setup deb
 	@packaging/deb $(BIN)/python
 
-install: $(VENV)/bin/python ## the same without a package: into DESTDIR, or on this machine with user and directories
-	@packaging/stage $(BIN)/python "$(DESTDIR)"
-	@test -n "$(DESTDIR)" || { systemd-sysusers panoexec.conf && systemd-tmpfiles --create panoexec.conf; }
-	@test -n "$(DESTDIR)" || ! test -d /run/systemd/system || systemctl daemon-reload
+install: $(VENV)/bin/python ## the same without a package, or an upgrade of it: on this machine, or into DESTDIR
+	@if [ -n "$(DESTDIR)" ]; then packaging/stage $(BIN)/python "$(DESTDIR)"; else packaging/install $(BIN)/python; fi
+
+uninstall:       ## take away what install put here; configuration and missions stay (ARGS=purge: nothing does)
+	@packaging/uninstall $(ARGS)
 
 clean:           ## remove what the targets made (missions stay)
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis *.egg-info
