@@ -23,6 +23,17 @@ from panoexec.sdnotify import SystemdNotifier
 from panoexec.service.daemon import Daemon
 
 
+def resting(daemon: Daemon) -> bool:
+    """Whether no mission is there any more, and the streams are back at the slow rates of a daemon that waits."""
+    link = daemon.vehicle._link
+    return (
+        not daemon.missions.busy
+        and link is not None
+        and not link.streams.active
+        and all(report.measured_hz <= 1.5 * report.wanted_hz + 1.0 for report in link.streams.reports())
+    )
+
+
 async def serve(config_file: Path, speedup: float, counts: Path) -> None:
     """Run until SIGTERM."""
     config = checked_config(config_file, os.environ)
@@ -44,6 +55,7 @@ async def serve(config_file: Path, speedup: float, counts: Path) -> None:
             "native_threads": len(list(Path("/proc/self/task").iterdir())),
             "files": len(list(Path("/proc/self/fd").iterdir())),
             "objects": len(gc.get_objects()),
+            "resting": resting(daemon),
             "kinds": Counter(type(one).__qualname__ for one in gc.get_objects()).most_common(200),
         }
         write_atomically(counts, json.dumps(held))

@@ -45,12 +45,13 @@ async def fly(ground: Ground, number: int) -> str:
 
 async def counted(process: asyncio.subprocess.Process, folder: Path, name: str) -> dict[str, Any]:
     """What the daemon holds, at rest."""
-    await asyncio.sleep(3.0)  # the streams go back to their slow rates
-    process.send_signal(signal.SIGUSR1)
-    file = folder / "counts.json"
-    await eventually(file.exists, 30)
-    held = dict(json.loads(await asyncio.to_thread(file.read_text)))
-    await asyncio.to_thread(file.rename, folder / name)
+    file, held = folder / "counts.json", {"resting": False}
+    async with asyncio.timeout(60):
+        while not held["resting"]:  # the streams go back to their slow rates
+            process.send_signal(signal.SIGUSR1)
+            await eventually(file.exists, 30)
+            held = dict(json.loads(await asyncio.to_thread(file.read_text)))
+            await asyncio.to_thread(file.rename, folder / name)
     return held
 
 
