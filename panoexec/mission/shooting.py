@@ -6,6 +6,8 @@ import asyncio
 import math
 from collections.abc import Sequence
 
+import structlog
+
 from panoexec import events as ev
 from panoexec.devices import EvidenceLevel, PendingCapture
 from panoexec.mission import evidence
@@ -71,7 +73,7 @@ class Shooting:
         self.ended_s = self._flight.clock.monotonic()
 
     async def _attempt(self, task: Task) -> None:
-        flight, control = self._flight, self._flight.control
+        flight = self._flight
         record = flight.record.shots[task.shot]
         shot, number = record.shot, len(record.attempts) + 1
         patience_s = flight.settings.patience_s * 2**task.round
@@ -84,6 +86,13 @@ class Shooting:
             patience_s=patience_s,
         )
         self._keep(started)
+        # what devices log meanwhile, and the tasks that wait for this photo's evidence, carry its ids
+        with structlog.contextvars.bound_contextvars(shot=shot.index, attempt=number):
+            await self._take(task, number, patience_s)
+
+    async def _take(self, task: Task, number: int, patience_s: float) -> None:
+        flight, control = self._flight, self._flight.control
+        shot = flight.record.shots[task.shot].shot
         coming = [flight.record.shots[index].shot.yaw_deg for index in flight.queue.coming()] if flight.turner else []
         approach = self.shooter.approach(shot, patience_s=patience_s, clear=self._blocker, coming_yaw_deg=coming)
         done, result = await until(control.interrupt.wait(), approach, f"shot {shot.index}")

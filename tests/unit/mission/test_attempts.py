@@ -5,11 +5,13 @@ from __future__ import annotations
 import itertools
 
 import pytest
+import structlog
 
 from panoexec import events as ev
 from panoexec.devices import EvidenceLevel, YawFrame
 from panoexec.states import MissionState
 from tests.unit.fakes.checks import check_mission
+from tests.unit.fakes.devices import FakeCapture
 from tests.unit.fakes.flying import fly
 from tests.unit.fakes.virtual import run_virtual
 from tests.unit.fakes.world import World, a_world, some_settings
@@ -172,3 +174,23 @@ def test_without_feedback_the_mission_says_so_and_believes_the_gimbal() -> None:
     assert world.record.open_loop
     assert "open loop" in world.sink.of(ev.Warned)[0].text
     assert {event.by for event in world.sink.of(ev.ShotAccepted)} == {"open_loop"}
+
+
+def test_whatever_devices_log_during_an_attempt_carries_its_shot() -> None:
+    bound: list[tuple[object, object]] = []
+
+    def listen(world: World) -> None:
+        trigger = world.camera.trigger
+
+        async def heard() -> FakeCapture:
+            ids = structlog.contextvars.get_contextvars()
+            bound.append((ids.get("shot"), ids.get("attempt")))
+            return await trigger()
+
+        world.camera.trigger = heard  # type: ignore[method-assign]
+
+    world = fly(prepare=listen)
+    exposed = [(event.shot, event.attempt) for event in world.sink.of(ev.ShotExposed)]
+    assert bound == exposed
+    assert len({shot for shot, _ in bound}) > 1
+    assert structlog.contextvars.get_contextvars() == {}
