@@ -76,8 +76,8 @@ def certify_flown(plan: Plan, rotations: FloatArray, rows: Sequence[int]) -> Cer
 def patch_shots(plan: Plan, rotations: FloatArray) -> list[Shot]:
     """Shots that would close the holes that images leave where the plan leaves none.
 
-    A hole is closed from its middle if one image can hold it with room for the plan's tolerances, else by the planned
-    pose nearest to it; whatever remains is looked at again.
+    A hole is closed from its middle, or from as near as the plan's own poses go, if an image from there holds it with
+    room for the plan's tolerances; else by the planned pose nearest to it. Whatever remains is looked at again.
 
     Args:
         plan: camera, constraints, shots.
@@ -123,12 +123,29 @@ def _aim(plan: Plan, region: HoleRegion) -> tuple[float, float]:
     if float(np.linalg.norm(centre)) > 1e-6:
         pitch = float(np.degrees(np.arctan2(-centre[2], np.hypot(centre[0], centre[1]))))
         yaw = float(np.degrees(np.arctan2(centre[1], centre[0])))
+        pitch, yaw = _reachable(plan, pitch, yaw)
         if _holds(plan, pitch, yaw, outline):
             return pitch, float(wrap_180(yaw))
     here = np.array([rotation(azimuth, elevation)[:, 0]])
     boresights = plan.rotations()[:, :, 0]
     nearest = plan.shots[int(np.argmin(angle_between(boresights, here)))]
     return nearest.pitch_deg, nearest.yaw_deg
+
+
+def _reachable(plan: Plan, pitch_deg: float, yaw_deg: float) -> tuple[float, float]:
+    """The pose nearest to a pose that lies among those of the plan, which the gimbal was found to reach.
+
+    Holes at the border of the band are what images leave that drifted inwards, and a gimbal need not point at a border
+    to show it.
+    """
+    pitches = [shot.pitch_deg for shot in plan.shots]
+    pitch_deg = min(max(pitch_deg, min(pitches)), max(pitches))
+    band = plan.constraints.band
+    if band.is_full_circle:
+        return pitch_deg, yaw_deg
+    middle = (band.azimuth_min_deg + band.azimuth_max_deg) / 2
+    offsets = [float(wrap_180(shot.yaw_deg - middle)) for shot in plan.shots]
+    return pitch_deg, middle + min(max(float(wrap_180(yaw_deg - middle)), min(offsets)), max(offsets))
 
 
 def _holds(plan: Plan, pitch_deg: float, yaw_deg: float, outline: FloatArray) -> bool:

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from panoexec.angles import FloatArray, rotation
+from panoexec.angles import FloatArray, rotation, wrap_180
 from panoexec.mission.verifier import NO_ROW, ThreadedVerifier, certify_flown, flown_constraints, patch_shots, row_of
 from panoexec.optics import Camera
 from panoexec.planning.certificate import certify
 from panoexec.planning.model import Band, Constraints, Plan, Shot, Tolerance
+from panoexec.planning.search import plan_certified
 from tests.unit.fakes.virtual import run_virtual
 
 TOLERANCE = Tolerance(pitch_deg=0.2, roll_deg=0.2, yaw_deg=0.7)
@@ -134,3 +135,32 @@ def test_it_works_in_a_thread() -> None:
         assert list(await verifier.patch(plan.rotations(), ROWS)) == []
 
     run_virtual(main())
+
+
+@pytest.mark.parametrize("azimuth", [(-180.0, 180.0), (100.0, 220.0)])
+def test_patches_point_where_the_plan_does(azimuth: tuple[float, float]) -> None:
+    """Images that drifted inwards leave slivers at the band's border, where a gimbal need not be able to point."""
+    low, high = azimuth
+    band = Band(elevation_min_deg=-40.0, elevation_max_deg=20.0, azimuth_min_deg=low, azimuth_max_deg=high)
+    constraints = Constraints(overlap_h=0.15, overlap_v=0.15, band=band, tolerance=TOLERANCE)
+    plan = plan_certified(Camera.from_fov(60.0, 45.0), constraints)
+    assert plan.certificate is not None
+    assert plan.certificate.certified
+    pitches = [shot.pitch_deg for shot in plan.shots]
+    flown = plan.rotations().copy()
+    for index, shot in enumerate(plan.shots):
+        if shot.pitch_deg == max(pitches):
+            flown[index] = rotation(shot.yaw_deg, shot.pitch_deg - 3.0)
+        elif high - low < 360.0:
+            inwards = 3.0 * np.sign(float(wrap_180((low + high) / 2 - shot.yaw_deg)))
+            flown[index] = rotation(shot.yaw_deg + inwards, shot.pitch_deg)
+    patches = patch_shots(plan, flown)
+    assert patches
+    offsets = [float(wrap_180(shot.yaw_deg - (low + high) / 2)) for shot in plan.shots]
+    for patch in patches:
+        assert min(pitches) <= patch.pitch_deg <= max(pitches)
+        if high - low < 360.0:
+            offset = float(wrap_180(patch.yaw_deg - (low + high) / 2))
+            assert min(offsets) - 1e-9 <= offset <= max(offsets) + 1e-9
+    closed = np.concatenate([flown, [rotation(patch.yaw_deg, patch.pitch_deg) for patch in patches]])
+    assert certify_flown(plan, closed, [NO_ROW] * len(closed)).uncovered_fraction == 0
