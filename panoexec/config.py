@@ -158,6 +158,7 @@ class GuardsSection(Section):
     """`[guards]`: when a mission must not start, pauses or stops."""
 
     battery_floor_frac: Fraction = 0.25
+    hover_min: NotNegative = 20.0
     position_drift_m: Positive = 3.0
     allowed_modes: tuple[str, ...] = ("HOLD", "OFFBOARD", "POSCTL")
     attitude_silence_s: Positive = 2.0

@@ -120,6 +120,18 @@ class MissionStarted(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MissionAnchored(Event):
+    """The vehicle told later than at the start of the process where it is, or where its nose points."""
+
+    reference_yaw_north_deg: float = NAN
+    """Direction of the plan's yaw 0, clockwise from true north; holds if none was known."""
+    latitude_deg: float = NAN
+    longitude_deg: float = NAN
+    altitude_m: float = NAN
+    """Above mean sea level."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PreflightPassed(Event):
     """All checks before the flight are good; shooting begins."""
 

@@ -11,14 +11,15 @@ from panoexec import events as ev
 from panoexec.clock import Clock
 from panoexec.devices import Camera, Gimbal, Vehicle
 from panoexec.errors import MissionError
+from panoexec.mission.anchoring import anchor, tell_if_moved
 from panoexec.mission.attempt import Shooter
 from panoexec.mission.control import Control, Stop
 from panoexec.mission.ending import Ending
 from panoexec.mission.flight import Flight
-from panoexec.mission.guards import Guard, distance_m, flight_guards
+from panoexec.mission.guards import Guard, flight_guards
 from panoexec.mission.holding import Holding
 from panoexec.mission.pace import Pace
-from panoexec.mission.preflight import preflight_problems
+from panoexec.mission.preflight import battery_warning, preflight_problems
 from panoexec.mission.protocols import Journal, Verifier
 from panoexec.mission.record import MissionRecord, ShotStatus
 from panoexec.mission.recorder import Recorder
@@ -199,7 +200,7 @@ class Mission:
     def _start(self) -> None:
         flight, record = self._flight, self._flight.record
         status = flight.vehicle.status
-        moved = distance_m(record.origin, status)
+        origin = record.origin
         kind = record.reference if self._resumed else self._reference
         reference = record.reference_yaw_north_deg
         if math.isnan(reference):  # of a new mission, or one that never knew it and so took no photo
@@ -214,9 +215,8 @@ class Mission:
             altitude_m=status.altitude_m,
         )
         flight.recorder.emit(started, MissionState.PREFLIGHT)
-        if self._resumed and moved > flight.settings.guards.position_drift_m:
-            text = f"resumed {moved:.1f} m from where the mission began: expect parallax in near objects"
-            flight.recorder.emit(ev.Warned(code="position", text=text))
+        if self._resumed:
+            tell_if_moved(flight, origin)
         if flight.settings.feedback == "none":
             text = "no attitude feedback: poses are believed, not proven (open loop)"
             flight.recorder.emit(ev.Warned(code="open_loop", text=text))
@@ -224,7 +224,6 @@ class Mission:
     async def _course(self, group: asyncio.TaskGroup) -> None:
         """Preflight, shooting, finishing; returns when the mission is over or must end."""
         flight = self._flight
-        self._shooting = Shooting(flight, self._holding, group)
         if self._resumed:
             self._take_up_commands()
             await settle_open_attempts(flight)
@@ -233,6 +232,8 @@ class Mission:
         while flight.control.stop is None:
             if len(flight.queue) and not checked and not flight.control.must_leave:  # also patches of a resumed one
                 checked, _ = await until(flight.control.leaving.wait(), self._preflight(), "preflight")
+            if self._shooting is None:  # now that the direction of yaw 0 is known
+                self._shooting = Shooting(flight, self._holding, group)
             if not flight.control.must_leave:
                 await self._shooting.run()
             await self._shooting.evidence_in()
@@ -270,11 +271,15 @@ class Mission:
             flight.recorder.emit(ev.PreflightFailed(problems=tuple(problems)))
             flight.control.ask_stop(Stop("fail", "; ".join(problems)))
             return
+        warning = battery_warning(flight.vehicle.status.battery_frac, flight.settings.guards, expected_s=self.eta_s)
+        if warning:
+            flight.recorder.emit(ev.Warned(code="battery_estimate", text=warning))
         flight.recorder.emit(ev.PreflightPassed(), MissionState.CAPTURING)
         flight.pace.restart(flight.clock.monotonic())
 
     def _problems(self) -> list[str]:
         flight = self._flight
+        anchor(flight)
         shots = [record.shot for record in flight.record.shots.values() if record.shot.index in flight.queue]
         reference = flight.record.reference_yaw_north_deg
         if math.isnan(reference):
@@ -287,6 +292,7 @@ class Mission:
             vehicle=flight.vehicle,
             reference_yaw_north_deg=reference,
             now_s=flight.clock.monotonic(),
+            expected_s=self.eta_s,
         )
 
 

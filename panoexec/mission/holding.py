@@ -7,6 +7,7 @@ import math
 
 from panoexec import events as ev
 from panoexec.errors import DeviceError
+from panoexec.mission.anchoring import anchor
 from panoexec.mission.control import Stop
 from panoexec.mission.flight import Flight
 from panoexec.mission.guards import Finding, Guard, Situation, reasons
@@ -48,6 +49,7 @@ class Holding:
         if status.boot_count != self._boots:
             self._boots = status.boot_count
             flight.recorder.emit(ev.Warned(code="reboot", text="the autopilot has rebooted"))
+        anchor(flight)
         sample = flight.gimbal.feed.latest
         situation = Situation(
             now_s=now,

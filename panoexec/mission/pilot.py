@@ -43,6 +43,7 @@ _WARNINGS: Final[Mapping[str, str]] = MappingProxyType(
         "reboot": "autopilot rebooted",
         "open_loop": "no gimbal feedback, poses unproven",
         "position": "moved since the first shots: parallax",
+        "battery_estimate": "more shots than this battery lasts for",
     }
 )
 

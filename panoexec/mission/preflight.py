@@ -8,13 +8,16 @@ from dataclasses import replace
 
 from panoexec.angles import wrap_180
 from panoexec.devices import AttitudeSample, Camera, Gimbal, Vehicle
-from panoexec.mission.settings import MissionSettings
+from panoexec.mission.settings import GuardSettings, MissionSettings
 from panoexec.planning.model import GimbalLimits, Shot
 from panoexec.planning.turns import PanReach
 from panoexec.pose_reading import GIMBAL_FAILURES
 
 PILOTS_NAMES = {"OFFBOARD": "OFFBOARD (ArduPilot: GUIDED)", "HOLD": "HOLD (PX4: Hold)"}
 """Flight modes as pilots know them, by MAVSDK's names."""
+
+FRESH_FRAC = 0.9
+"""A battery with more than this is as full as one is that has just taken off."""
 
 
 def limit_problems(shots: Iterable[Shot], limits: GimbalLimits, *, margin_deg: float = 1e-6) -> list[str]:
@@ -71,6 +74,7 @@ def preflight_problems(
     vehicle: Vehicle,
     reference_yaw_north_deg: float,
     now_s: float,
+    expected_s: float,
 ) -> list[str]:
     """Everything that speaks against beginning now; empty when all is well.
 
@@ -82,6 +86,7 @@ def preflight_problems(
         vehicle: asked for its status.
         reference_yaw_north_deg: direction of the plan's yaw 0 from true north.
         now_s: on the mission's clock.
+        expected_s: how long those shots will take.
     """
     status = vehicle.status
     guards = settings.guards
@@ -102,10 +107,7 @@ def preflight_problems(
     needed = len(shots) * settings.brackets
     if camera.storage_free_images < needed:
         problems.append(f"the camera has room for {camera.storage_free_images:g} photos, {needed} are needed")
-    if status.battery_frac < guards.battery_floor_frac:
-        problems.append(
-            f"battery at {100 * status.battery_frac:.0f} %, the floor is {100 * guards.battery_floor_frac:.0f} %"
-        )
+    problems += battery_problems(status.battery_frac, guards, expected_s=expected_s)
     if guards.position_hold and not status.in_air:
         problems.append("the vehicle is not in the air: take off and hover")
     if guards.position_hold and not status.position_ok:
@@ -113,6 +115,45 @@ def preflight_problems(
     if guards.allowed_modes and status.mode not in guards.allowed_modes:
         problems.append(f"flight mode is {status.mode or 'unknown'}; allowed: {', '.join(guards.allowed_modes)}")
     return problems
+
+
+def battery_problems(charge_frac: float, guards: GuardSettings, *, expected_s: float) -> list[str]:
+    """Why a mission must not begin with this charge; empty if it may, or the vehicle does not tell its charge.
+
+    What a fresh battery could not do either is no reason not to begin (`battery_warning`): it is flown on several.
+
+    Args:
+        charge_frac: 0 to 1, NaN where it is not told.
+        guards: floor, and how long a full battery lasts.
+        expected_s: how long shooting will take.
+    """
+    floor_frac = guards.battery_floor_frac
+    have, floor = f"battery at {100 * charge_frac:.0f} %", f"{100 * floor_frac:.0f} %"
+    if charge_frac < floor_frac:
+        return [f"{have}, the floor is {floor}"]
+    needed_frac = _needed_frac(guards, expected_s)
+    enough = not charge_frac - floor_frac < needed_frac  # NaN: the vehicle does not say
+    if enough or charge_frac >= FRESH_FRAC or needed_frac > FRESH_FRAC - floor_frac:
+        return []
+    needed = f"the {expected_s / 60:.1f} min of shooting take about {100 * needed_frac:.0f} %"
+    return [
+        f"{have}: {needed}, and {floor} must remain; begin with a full one ([guards] hover_min: how long that lasts)"
+    ]
+
+
+def battery_warning(charge_frac: float, guards: GuardSettings, *, expected_s: float) -> str:
+    """What a pilot should know of a mission that one battery is not enough for; "" if this one is."""
+    needed_frac = _needed_frac(guards, expected_s)
+    if not charge_frac - guards.battery_floor_frac < needed_frac:
+        return ""
+    return (
+        f"{expected_s / 60:.0f} min of shooting are more than this battery lasts: it will pause at"
+        f" {100 * guards.battery_floor_frac:.0f} % and can be resumed with a full one"
+    )
+
+
+def _needed_frac(guards: GuardSettings, expected_s: float) -> float:
+    return expected_s / guards.hover_s if guards.hover_s > 0 else 0.0
 
 
 def turning_problems(forward: Sequence[Shot], limits: GimbalLimits, vehicle: Vehicle) -> list[str]:

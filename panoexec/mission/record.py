@@ -151,6 +151,8 @@ class MissionRecord:
         self.reference_yaw_north_deg = math.nan
         self.origin: tuple[float, float, float] = (math.nan, math.nan, math.nan)
         """Latitude, longitude, altitude above sea level where the mission began, or went on after a restart."""
+        self.anchored = False
+        """Whether this process knows it."""
         self.started_utc_s = math.nan
         self.finished_utc_s = math.nan
         self.restarts = 0
@@ -174,7 +176,7 @@ class MissionRecord:
             record.apply(event)
         return record
 
-    def apply(self, event: ev.Event) -> None:  # noqa: C901  (one case a kind of event)
+    def apply(self, event: ev.Event) -> None:  # noqa: C901, PLR0912  (one case a kind of event)
         """Take the next event.
 
         Raises:
@@ -194,6 +196,8 @@ class MissionRecord:
         match event:
             case ev.MissionStarted():
                 self._start(event)
+            case ev.MissionAnchored():
+                self._anchor(event)
             case ev.MissionPaused() | ev.MissionFinishing():
                 self.reason = event.reason
             case ev.MissionFinished():
@@ -217,16 +221,21 @@ class MissionRecord:
     def _start(self, event: ev.MissionStarted) -> None:
         self.gimbal_left |= self.gimbal_held
         self.gimbal_held = False
-        if not math.isnan(event.latitude_deg):
-            self.origin = (event.latitude_deg, event.longitude_deg, event.altitude_m)
-        # the earlier photos depend on this direction, so it stays once it is known
-        if math.isnan(self.reference_yaw_north_deg):
-            self.reference_yaw_north_deg = event.reference_yaw_north_deg
+        self.anchored = False
+        self._anchor(event)
         if event.resumed:
             self.restarts += 1
             return
         self.reference = event.reference
         self.started_utc_s = event.time_utc_s
+
+    def _anchor(self, event: ev.MissionStarted | ev.MissionAnchored) -> None:
+        if not self.anchored and not math.isnan(event.latitude_deg):
+            self.origin = (event.latitude_deg, event.longitude_deg, event.altitude_m)
+            self.anchored = True
+        # the earlier photos depend on this direction, so it stays once it is known
+        if math.isnan(self.reference_yaw_north_deg):
+            self.reference_yaw_north_deg = event.reference_yaw_north_deg
 
     def _patch(self, event: ev.PatchPlanned) -> None:
         self.patch_rounds += 1

@@ -20,6 +20,7 @@ class GuardSettings:
 
     Attributes:
         battery_floor_frac: no shot below this charge, 0 to 1; 0 switches the guard off.
+        hover_s: how long a full battery keeps the vehicle in the air, for the check against the estimate; 0: unknown.
         position_drift_m: how far from where the mission began (parallax), metres; twice that in height, which
             satellites tell worse; infinity switches it off.
         position_back_frac: it goes on when back within this fraction of that distance.
@@ -32,6 +33,7 @@ class GuardSettings:
     """
 
     battery_floor_frac: float = 0.25
+    hover_s: float = 1200.0
     position_drift_m: float = 3.0
     position_back_frac: float = 0.7
     allowed_modes: tuple[str, ...] = ()

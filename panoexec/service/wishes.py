@@ -235,6 +235,7 @@ def settings_of(config: Config, wish: Wish) -> MissionSettings:
         gimbal=wish.constraints.gimbal or GimbalLimits(),
         guards=GuardSettings(
             battery_floor_frac=guards.battery_floor_frac,
+            hover_s=60 * guards.hover_min,
             position_drift_m=guards.position_drift_m,
             allowed_modes=guards.allowed_modes,
             attitude_silence_s=guards.attitude_silence_s,

@@ -1,0 +1,40 @@
+"""Where a mission is tied down: the place that drift is measured from, and the direction of yaw 0.
+
+A vehicle that has just been found may not have told them yet; they are taken as soon as it does.
+"""
+
+from __future__ import annotations
+
+import math
+
+from panoexec import events as ev
+from panoexec.mission.flight import Flight
+from panoexec.mission.guards import distance_m
+
+
+def anchor(flight: Flight) -> None:
+    """Take what this process still lacks and the vehicle tells by now."""
+    record, status = flight.record, flight.vehicle.status
+    lacks_place = not record.anchored and not math.isnan(status.latitude_deg)
+    lacks_heading = math.isnan(record.reference_yaw_north_deg) and not math.isnan(status.heading_deg)
+    if not lacks_place and not lacks_heading:
+        return
+    origin = record.origin
+    flight.recorder.emit(
+        ev.MissionAnchored(
+            reference_yaw_north_deg=status.heading_deg if lacks_heading else record.reference_yaw_north_deg,
+            latitude_deg=status.latitude_deg,
+            longitude_deg=status.longitude_deg,
+            altitude_m=status.altitude_m,
+        )
+    )
+    if lacks_place:
+        tell_if_moved(flight, origin)
+
+
+def tell_if_moved(flight: Flight, origin: tuple[float, float, float]) -> None:
+    """Warn if the vehicle is not where the mission was flown before (latitude, longitude, altitude)."""
+    moved = distance_m(origin, flight.vehicle.status)
+    if moved > flight.settings.guards.position_drift_m:
+        text = f"resumed {moved:.1f} m from where the mission began: expect parallax in near objects"
+        flight.recorder.emit(ev.Warned(code="position", text=text))
