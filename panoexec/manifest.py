@@ -77,7 +77,7 @@ class ManifestWriter:
         self._battery = battery
         self._charges = _earlier_charges(path)
         self._dirty = asyncio.Event()
-        self._shots: dict[int, dict[str, Any]] = {}
+        self._shots: dict[int, str] = {}
 
     def publish(self, event: ev.Event) -> None:
         """See `EventSink.publish`."""
@@ -113,15 +113,27 @@ class ManifestWriter:
         Raises:
             UsageError: it cannot be written.
         """
-        document = self.document()
-        await asyncio.to_thread(lambda: write_atomically(self._path, json.dumps(document, indent=1) + "\n"))
+        text = self.text()
+        await asyncio.to_thread(write_atomically, self._path, text)
 
-    def document(self) -> dict[str, Any]:
-        """The manifest as JSON."""
-        record, plan = self._record, self._plan
+    def text(self) -> str:
+        """The manifest as JSON text.
+
+        Of the shots only those are put into words that changed since the last call: hundreds of them every two seconds
+        would be the most expensive thing that a flying daemon does.
+        """
+        record = self._record
         for index, shot in record.shots.items():
             if index not in self._shots:
-                self._shots[index] = _shot_json(shot, record.reference_yaw_north_deg, self._path.parent)
+                data = _shot_json(shot, record.reference_yaw_north_deg, self._path.parent)
+                self._shots[index] = f"  {json.dumps(data)}"  # a line: thrice as fast as many, and a third shorter
+        head = json.dumps(self._head(), indent=1).removesuffix("\n}")
+        shots = ",\n".join(self._shots[index] for index in sorted(record.shots))
+        return f'{head},\n "shots": [\n{shots}\n ]\n}}\n'
+
+    def _head(self) -> dict[str, Any]:
+        """All but the shots."""
+        record, plan = self._record, self._plan
         certificate = self._certificate()
         tolerance = plan.constraints.tolerance
         return {
@@ -154,7 +166,6 @@ class ManifestWriter:
             "warnings": list(record.warnings),
             "certificate": None if certificate is None else certificate_to_data(certificate),
             "conventions": CONVENTIONS,
-            "shots": [self._shots[index] for index in sorted(record.shots)],
         }
 
 

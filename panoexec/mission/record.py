@@ -167,6 +167,8 @@ class MissionRecord:
         self.warnings: list[str] = []
         self.patch_rounds = 0
         self.asked = Asked()
+        self._done: set[int] = set()
+        self._attempts = 0
 
     @classmethod
     def from_events(cls, *, mission_id: str, shots: Sequence[Shot], events: Iterable[ev.Event]) -> MissionRecord:
@@ -260,6 +262,7 @@ class MissionRecord:
                 )
                 record.status = ShotStatus.ACTIVE
                 self.current = event.shot
+                self._attempts += 1
             case ev.ShotExposed():
                 attempt = self._open(event)
                 attempt.exposed, attempt.photos = event, event.photos
@@ -271,6 +274,7 @@ class MissionRecord:
                     raise ValueError(f"shot {event.shot}: attempt {event.attempt} accepted without an exposure")
                 attempt.verdict, attempt.by, attempt.photos = Verdict.ACCEPTED, event.by, event.photos
                 record.status, record.reason = ShotStatus.ACCEPTED, ""
+                self._done.add(event.shot)  # for good: what is accepted is never taken back, only repeated
             case ev.ShotRejected():
                 attempt = self._open(event)
                 attempt.verdict, attempt.code, attempt.reason = Verdict.REJECTED, event.code, event.reason
@@ -320,12 +324,12 @@ class MissionRecord:
     @property
     def shots_done(self) -> int:
         """Shots with an accepted photo."""
-        return sum(1 for r in self.shots.values() if r.accepted is not None)
+        return len(self._done)
 
     @property
     def attempts(self) -> int:
         """Attempts begun, of all shots."""
-        return sum(len(r.attempts) for r in self.shots.values())
+        return self._attempts
 
     def missing(self) -> tuple[int, ...]:
         """Indices of shots without an accepted photo, in shooting order."""

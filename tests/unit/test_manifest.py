@@ -44,6 +44,12 @@ def _flown(path: Path, prepare: Any = None, **settings: Any) -> tuple[World, dic
                 await mission.run()
                 writing.cancel()
             await writer.write()
+            # what was put into words while it flew is what one who sees it for the first time would say
+            fresh = ManifestWriter(
+                path=path, plan=world.plan, record=mission.record, vehicle={"id": "v1"}, clock=world.clock,
+                certificate=lambda: mission.certificate,
+            )  # fmt: skip
+            assert fresh.text() == writer.text()
             return world, read_manifest(path)
 
     return run_virtual(main())
@@ -130,7 +136,7 @@ def test_the_history_of_the_battery_goes_on_after_a_restart_and_holds_changes_on
             )  # fmt: skip
             for _ in range(5):
                 writer.publish(ev.Warned(code="x", text="y"))
-            return list(writer.document()["battery"])
+            return list(json.loads(writer.text())["battery"])
 
     earlier = {"time": "2026-09-21T14:13:00.000Z", "charge_frac": 0.9}
     path.write_text(json.dumps({"format": "panoexec.manifest/1", "battery": [earlier]}), encoding="utf-8")

@@ -48,6 +48,7 @@ def check_shots(world: World, record: MissionRecord) -> None:
     """No shot lost or counted twice, and no photo counted for two shots."""
     assert {shot.index for shot in world.plan.shots} <= set(record.shots)
     assert record.shots_done + len(record.missing()) == record.shots_total
+    assert record.attempts == sum(len(shot.attempts) for shot in record.shots.values())
     counted = [
         photo.image_index
         for shot in record.shots.values()
