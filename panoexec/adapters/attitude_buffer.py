@@ -1,14 +1,8 @@
-"""The stream of attitudes between the vendor's thread that delivers it and the event loop that reads it.
-
-The vendor's thread only appends to an inbox and wakes the loop when somebody waits there: a wake-up of the loop costs
-more than all the rest of a sample, and at 50 Hz gimbal plus 50 Hz airframe it would be paid a hundred times a second
-(measured: 1.6 % of a core). Everything else happens on the loop.
-"""
+"""The stream of attitudes as the mission reads it: what came lately, what comes next, and how the airframe stood."""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 from bisect import bisect_right
 from collections import deque
@@ -27,63 +21,67 @@ PAIR_S: Final = 0.1
 SOURCE_SILENT_S: Final = 1.0
 """After this silence of the chosen source another one is taken."""
 
-INBOX_MOST: Final = 20_000
-"""Samples that wait to be read; 60 s at 300 Hz. The oldest go when nobody reads."""
-
 
 class AttitudeBuffer:
-    """Implements `AttitudeFeed`. `put_*` are for the vendor's thread, all else for the event loop.
+    """Implements `AttitudeFeed`; for the event loop.
 
     An ArduPilot that drives a MAVLink gimbal sends a second, relabelled copy of the gimbal's own reports (always
     "vehicle frame", rates and failures dropped); so reports of the gimbal itself are preferred to the autopilot's.
     """
 
-    def __init__(self, *, autopilot_component: int = 1) -> None:
+    def __init__(self, *, autopilot_component: int = 1, catch_up: Callable[[], None] = lambda: None) -> None:
+        """Describe it.
+
+        Args:
+            autopilot_component: MAVLink's number of it.
+            catch_up: called before each look; puts in what has come.
+        """
         self._autopilot_component = autopilot_component
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._inbox: deque[AttitudeSample] = deque(maxlen=INBOX_MOST)
+        self._catch_up = catch_up
         self._samples: deque[AttitudeSample] = deque()
-        self._vehicle_inbox: deque[VehicleAttitude] = deque(maxlen=INBOX_MOST)
         self._vehicle: deque[VehicleAttitude] = deque()
         self._source: int | None = None
         self._source_s = -math.inf
         self._waiters: list[asyncio.Future[None]] = []
-        self._wake_pending = False
 
     @property
     def source_component(self) -> int | None:
         """Component that the samples come from, None before the first."""
         return self._source
 
-    def put_sample(self, sample: AttitudeSample, component: int) -> None:
-        """Take a report of the gimbal; in the vendor's thread."""
+    @property
+    def is_awaited(self) -> bool:
+        """Whether somebody waits for the next sample; may be asked in any thread."""
+        return bool(self._waiters)
+
+    def put_sample(self, sample: AttitudeSample, component: int) -> bool:
+        """Take a report of the gimbal; False if another component is listened to."""
         if not self._from_chosen_source(component, sample.received_s):
-            return
-        self._inbox.append(sample)
-        # A waiter registers before it looks into the inbox, and we look for waiters after filling it: one of both sees
-        if self._waiters and not self._wake_pending and self._loop is not None:
-            self._wake_pending = True
-            with contextlib.suppress(RuntimeError):  # the loop was closed: nobody waits any more
-                self._loop.call_soon_threadsafe(self._wake)
+            return False
+        _keep(self._samples, sample)
+        for waiter in self._waiters:
+            if not waiter.done():
+                waiter.set_result(None)
+        return True
 
     def put_vehicle(self, attitude: VehicleAttitude) -> None:
-        """Take a report of the airframe; in the vendor's thread."""
-        self._vehicle_inbox.append(attitude)
+        """Take a report of the airframe."""
+        _keep(self._vehicle, attitude)
 
     def rebooted(self) -> None:
         """Forget the airframe's attitudes, whose time stamps mean nothing after a reboot."""
-        self._vehicle_inbox.clear()
+        self._catch_up()
         self._vehicle.clear()
 
     @property
     def latest(self) -> AttitudeSample | None:
         """See `AttitudeFeed.latest`."""
-        _take_in(self._inbox, self._samples)
+        self._catch_up()
         return self._samples[-1] if self._samples else None
 
     def since(self, received_s: float) -> Sequence[AttitudeSample]:
         """See `AttitudeFeed.since`."""
-        _take_in(self._inbox, self._samples)
+        self._catch_up()
         out: list[AttitudeSample] = []
         for sample in reversed(self._samples):
             if sample.received_s <= received_s:
@@ -94,9 +92,9 @@ class AttitudeBuffer:
 
     async def newer_than(self, received_s: float) -> AttitudeSample:
         """See `AttitudeFeed.newer_than`."""
-        self._loop = asyncio.get_running_loop()
+        loop = asyncio.get_running_loop()
         while True:
-            waiter = self._loop.create_future()
+            waiter = loop.create_future()
             self._waiters.append(waiter)
             try:
                 found = self.since(received_s)
@@ -111,36 +109,27 @@ class AttitudeBuffer:
 
         Paired by the senders' boot time when the autopilot stamped both, else by arrival (a gimbal has its own clock).
         """
-        _take_in(self._vehicle_inbox, self._vehicle)
+        self._catch_up()
         if self._source == self._autopilot_component and math.isfinite(sample.vehicle_s):
             return _nearest(self._vehicle, sample.vehicle_s, lambda attitude: attitude.vehicle_s)
         return _nearest(self._vehicle, sample.received_s, lambda attitude: attitude.received_s)
 
     def _from_chosen_source(self, component: int, now_s: float) -> bool:
         if component != self._source:
-            better = self._source is None or (
-                self._source == self._autopilot_component and component != self._autopilot_component
-            )
+            better = self._source is None or self._source == self._autopilot_component
             if not better and now_s - self._source_s <= SOURCE_SILENT_S:
                 return False
             self._source = component
         self._source_s = now_s
         return True
 
-    def _wake(self) -> None:
-        self._wake_pending = False
-        for waiter in self._waiters:
-            if not waiter.done():
-                waiter.set_result(None)
-
 
 _Stamped = TypeVar("_Stamped", AttitudeSample, VehicleAttitude)
 
 
-def _take_in(inbox: deque[_Stamped], kept: deque[_Stamped]) -> None:
-    while inbox:
-        kept.append(inbox.popleft())
-    while kept and kept[0].received_s < kept[-1].received_s - KEEP_S:
+def _keep(kept: deque[_Stamped], newest: _Stamped) -> None:
+    kept.append(newest)
+    while kept[0].received_s < newest.received_s - KEEP_S:
         kept.popleft()
 
 

@@ -27,6 +27,7 @@ from panoexec.adapters.attitude_messages import (
 from panoexec.adapters.gimbal_heading import HeadingBlend
 from panoexec.adapters.mavsdk_link import MavsdkLink
 from panoexec.adapters.message_hub import MavMessage
+from panoexec.adapters.report_inbox import ReportInbox
 from panoexec.adapters.steady_stamps import SteadyStamps
 from panoexec.adapters.stream_keeper import AUTOPILOT
 from panoexec.devices import AttitudeFeed, YawFrame
@@ -95,7 +96,8 @@ class MavsdkGimbal:
         self._link = link
         self._feedback_wanted = feedback
         self._frame = _FRAMES.get(feedback) if feedback else None
-        self._buffer = AttitudeBuffer(autopilot_component=AUTOPILOT)
+        self._reports = ReportInbox(self._report, post=link.post, eager=lambda: self._buffer.is_awaited)
+        self._buffer = AttitudeBuffer(autopilot_component=AUTOPILOT, catch_up=self._reports.empty)
         self._heading = HeadingBlend()
         self._stamps: dict[tuple[int, str], SteadyStamps] = {}
         self._stated = YawFrame.VEHICLE
@@ -140,6 +142,7 @@ class MavsdkGimbal:
     @property
     def age_s(self) -> float:
         """Real seconds since the last attitude report; infinity before the first."""
+        self._reports.empty()
         return time.monotonic() - self._sample_s
 
     # --- life
@@ -147,8 +150,8 @@ class MavsdkGimbal:
     async def __aenter__(self) -> Self:
         """Start to listen."""
         self._off = [
-            self._link.on("GIMBAL_DEVICE_ATTITUDE_STATUS", self._attitude),
-            self._link.on("ATTITUDE", self._airframe),
+            self._link.on("GIMBAL_DEVICE_ATTITUDE_STATUS", self._reports.put),
+            self._link.on("ATTITUDE", self._reports.put),
             self._link.on("GIMBAL_MANAGER_INFORMATION", self._information),
         ]
         self._off.append(self._link.when_attached(self._attach))
@@ -250,24 +253,34 @@ class MavsdkGimbal:
         self._link.streams.active = False
         _log.warning("the gimbal did not answer when it was released")
 
-    # --- in the vendor's thread
+    # --- reports, on the loop
+
+    def _report(self, message: MavMessage) -> None:
+        try:
+            if message.name == "ATTITUDE":
+                self._airframe(message)
+            else:
+                self._attitude(message)
+        except (LookupError, TypeError, ValueError) as error:
+            message.unusable(error)
 
     def _attitude(self, message: MavMessage) -> None:
-        device = int(message.fields.get("gimbal_device_id") or 0)
+        fields = message.fields
+        device = int(fields.get("gimbal_device_id") or 0)
         if self._found is not None and device not in (0, self._found.device_id):
             return  # a second mount of the vehicle
-        self._sample_s = time.monotonic()
+        self._sample_s = message.heard_s
         sent_s = self._sent_s(message)
         heading_deg = math.nan
         if message.component_id != AUTOPILOT:
-            heading_deg = self._heading.gimbal(told_heading_deg(message.fields), sent_s)
-        self._stated = yaw_frame(int(message.fields["flags"]))
-        sample = gimbal_sample(message.fields, sent_s, self._frame, heading_deg=heading_deg)
-        self._buffer.put_sample(sample, message.component_id)
+            heading_deg = self._heading.gimbal(told_heading_deg(fields), sent_s)
+        self._stated = yaw_frame(int(fields["flags"]))
+        sample = gimbal_sample(fields, sent_s, self._frame, heading_deg=heading_deg)
+        taken = self._buffer.put_sample(sample, message.component_id)
         source = message.component_id, self._stated, sample.yaw_frame
-        if source != self._source and self._buffer.source_component == message.component_id:
+        if taken and source != self._source:
             self._source = source
-            self._link.post(self._source_changed, *source)
+            self._source_changed(*source)
 
     def _airframe(self, message: MavMessage) -> None:
         if message.component_id == AUTOPILOT:
@@ -279,6 +292,8 @@ class MavsdkGimbal:
         """When a message was sent, free of the jitter with which it arrived; one stream a component and kind."""
         stamps = self._stamps.setdefault((message.component_id, message.name), SteadyStamps())
         return stamps.sent_s(number(message.fields["time_boot_ms"]) / 1000.0, message.received_s)
+
+    # --- in the vendor's thread
 
     def _information(self, message: MavMessage) -> None:
         limits = manager_limits(message.fields)

@@ -7,31 +7,60 @@ That, and that `mavsdk.asyncio` wakes the event loop once for each message, is w
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import structlog
 from mavsdk.plugins.mavlink_direct import MavlinkDirect
 
+from panoexec.adapters.vendor_thread import keep_thread_state
 from panoexec.clock import Clock
 
 _log = structlog.get_logger(__name__)
 
 
-class MavMessage(NamedTuple):
-    """One message; a named tuple, as a hundred of them are made a second.
+class MavMessage:
+    """One message.
 
     Attributes:
         name: MAVLink's name of it.
         component_id: the sender's.
-        fields: by MAVLink's names; NaN is None, as JSON has no NaN.
         received_s: when it arrived, on the mission's clock.
+        heard_s: the same moment, by the real clock.
     """
 
-    name: str
-    component_id: int
-    fields: dict[str, Any]
-    received_s: float
+    __slots__ = ("_fields", "component_id", "heard_s", "name", "received_s")
+
+    def __init__(self, name: str, component_id: int, fields: dict[str, Any] | str, received_s: float) -> None:
+        """Take it as it came.
+
+        Args:
+            name: MAVLink's.
+            component_id: the sender's.
+            fields: by MAVLink's names, or the JSON text of that.
+            received_s: when it arrived, on the mission's clock.
+        """
+        self.name = name
+        self.component_id = component_id
+        self.received_s = received_s
+        self.heard_s = time.monotonic()
+        self._fields = fields
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """By MAVLink's names; NaN is None, as JSON has no NaN. Parsed when first asked for: many never are.
+
+        Raises:
+            ValueError: it is not JSON.
+        """
+        if isinstance(self._fields, str):
+            self._fields = json.loads(self._fields)
+        return self._fields  # type: ignore[return-value]
+
+    def unusable(self, error: Exception) -> None:
+        """Tell that it does not say what it should."""
+        _log.warning("unusable message", name=self.name, error=repr(error), fields=self._fields)
 
 
 Handler: TypeAlias = Callable[[MavMessage], None]
@@ -104,18 +133,15 @@ class MessageHub:
 
     def _subscribe(self, name: str) -> None:
         def arrived(message: Any, _user_data: object) -> None:
-            received_s = self._clock.monotonic()
-            handlers = self._handlers[name]
+            received = MavMessage(name, message.component_id, message.fields_json, self._clock.monotonic())
+            keep_thread_state()
             if name in self._spared:
                 self._post(self._pause, name)
-            if not handlers:
-                return
             try:
-                parsed = MavMessage(name, message.component_id, json.loads(message.fields_json), received_s)
-                for handler in handlers:
-                    handler(parsed)
+                for handler in self._handlers[name]:
+                    handler(received)
             except (LookupError, TypeError, ValueError) as error:
-                _log.warning("unusable message", name=name, error=repr(error), fields=message.fields_json)
+                received.unusable(error)
 
         if self._direct is not None:
             self._subscriptions[name] = self._direct.subscribe_message(name, arrived)

@@ -127,7 +127,7 @@ class StreamKeeper:
         return min(wanted, self.spared.get(stream.message_id, wanted))
 
     def _arrived(self, watch: StreamWatch, message: MavMessage) -> None:
-        watch.note(time.monotonic())
+        watch.note(message.heard_s)
         # a gimbal that is its own component stamps with its own boot time
         boot_ms = message.fields.get("time_boot_ms") if message.component_id == AUTOPILOT else None
         if boot_ms is not None and self.boots.note(boot_ms / 1000.0):

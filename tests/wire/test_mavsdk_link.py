@@ -7,6 +7,7 @@ import contextlib
 import os
 import pty
 import socket
+import threading
 import time
 import tty
 from collections.abc import Iterator
@@ -36,12 +37,28 @@ async def test_finds_the_autopilot_and_asks_for_its_streams(autopilot: ScriptedP
     assert interval_requests(autopilot, 30) == [5.0]
     await link.use_rates(active=True)
     assert interval_requests(autopilot, 30)[-1] == pytest.approx(50.0)
-    assert interval_requests(autopilot, 33)[-1] == pytest.approx(10.0)
+    assert interval_requests(autopilot, 33)[-1] == pytest.approx(5.0)
     await link.use_rates(active=False)
     assert interval_requests(autopilot, 30)[-1] == pytest.approx(5.0)
     sender = autopilot.commands[0]
     assert (sender.get_srcSystem(), sender.get_srcComponent()) == (1, 191)
     await autopilot.until(lambda: (1, 191) in autopilot.heard)
+
+
+async def test_messages_find_the_thread_that_brings_them_as_the_last_one_left_it(
+    autopilot: ScriptedPeer, link: MavsdkLink
+) -> None:
+    local, counts = threading.local(), []
+
+    def heard(_message: object) -> None:
+        local.count = getattr(local, "count", 0) + 1
+        counts.append(local.count)
+
+    off = link.on("HEARTBEAT", heard)
+    await eventually(lambda: len(counts) >= 3, 20)
+    off()
+    # in a thread that Python meets anew with each message, each would be the first
+    assert counts == list(range(1, len(counts) + 1))
 
 
 async def test_reports_how_streams_do(autopilot: ScriptedPeer, link: MavsdkLink) -> None:
