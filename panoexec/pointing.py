@@ -103,11 +103,20 @@ class SettleTracker:
         """The newest pose error; None without a usable reading."""
         return self._last
 
-    def add(self, reading: Reading) -> None:
-        """Take the next reading."""
+    def add(self, *readings: Reading) -> None:
+        """Take the next readings; many at once cost little more than one."""
+        usable = [reading.rotation for reading in readings if reading.rotation is not None]
+        errors = pose_error(self._target.pitch_deg, self._target.yaw_deg, np.stack(usable)) if usable else None
+        inside = iter([] if errors is None else errors.within(self._target.tolerance).tolist())
+        for reading in readings:
+            self._take(reading, inside=reading.rotation is not None and next(inside))
+        if readings:
+            self._last = None if errors is None or readings[-1].rotation is None else errors[-1]
+
+    def _take(self, reading: Reading, *, inside: bool) -> None:
         silent = reading.time_s - self._newest
         self._newest = reading.time_s
-        self._problem = self._judge(reading)
+        self._problem = self._judge(reading, inside=inside)
         bad = self._problem != ""
         if bad or silent > self._limits.max_gap_s:
             self._inside.clear()
@@ -124,13 +133,11 @@ class SettleTracker:
         """Whether the newest reading is too old to say where the gimbal is at `now_s`."""
         return not now_s - self._newest <= self._limits.max_gap_s
 
-    def _judge(self, reading: Reading) -> str | None:
+    def _judge(self, reading: Reading, *, inside: bool) -> str | None:
         """What is wrong with a reading: "" nothing, None that it is out of tolerance."""
         if reading.rotation is None:
-            self._last = None
             return reading.problem
-        self._last = error = pose_error(self._target.pitch_deg, self._target.yaw_deg, reading.rotation)
-        if not bool(error.within(self._target.tolerance)):
+        if not inside:
             return None
         rate = self._rate_deg_s(reading)
         if rate > self._limits.max_rate_deg_s:
@@ -194,8 +201,8 @@ def judge_window(
     ordered = list(readings)
     before = [r for r in ordered if start_s - max_gap_s <= r.time_s <= start_s][-1:]
     judged = before + [r for r in ordered if start_s < r.time_s <= end_s]
-    usable = [r.rotation for r in judged if r.rotation is not None]
-    errors = pose_error(target.pitch_deg, target.yaw_deg, np.stack(usable)) if usable else None
+    usable = np.array([r.rotation for r in judged if r.rotation is not None]).reshape(-1, 3, 3)
+    errors = pose_error(target.pitch_deg, target.yaw_deg, usable) if len(usable) else None
     code = reason = ""
     if len(usable) < len(judged):
         code, reason = "no_samples", next(r.problem for r in judged if r.rotation is None)
@@ -214,9 +221,9 @@ def judge_window(
         reason=reason,
         code=code,
         samples=len(judged),
-        measured=mean_pose(usable) if usable else None,
+        measured=mean_pose(usable) if len(usable) else None,
         errors=worst_errors(errors) if errors is not None else None,
-        spread_deg=max(float(angle_between(usable[0][:, 0], r[:, 0])) for r in usable) if usable else math.nan,
+        spread_deg=float(np.max(angle_between(usable[0, :, 0], usable[:, :, 0]))) if len(usable) else math.nan,
     )
 
 

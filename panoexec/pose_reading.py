@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -208,9 +207,9 @@ def _device_problem(sample: AttitudeSample) -> str:
     return f"the gimbal reports: {', '.join(names)}" if names else ""
 
 
-def mean_pose(rotations: Sequence[FloatArray]) -> MeasuredPose:
-    """The mean of attitudes that lie close together (sum of quaternions of one sign, normalised)."""
-    q = quaternion_from_rotation(np.stack(rotations))
+def mean_pose(rotations: FloatArray) -> MeasuredPose:
+    """The mean of attitudes (n, 3, 3) that lie close together (sum of quaternions of one sign, normalised)."""
+    q = quaternion_from_rotation(rotations)
     q = np.where((q @ q[0])[:, None] < 0, -q, q).sum(axis=0)
     return pose_of(rotation_from_quaternion(q))
 

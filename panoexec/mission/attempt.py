@@ -19,9 +19,8 @@ from panoexec.mission.turning import Turner
 from panoexec.mission.waiting import until, within
 from panoexec.planning.duration import slew_time_s
 from panoexec.planning.model import Shot
-from panoexec.planning.pose_error import pose_error
 from panoexec.pointing import SettleLimits, SettleTracker, Target, WindowVerdict, judge_window
-from panoexec.pose_reading import PoseReader, Reading, pose_of, read_pose, to_north
+from panoexec.pose_reading import PoseReader, pose_of, read_pose, to_north
 
 T = TypeVar("T")
 
@@ -148,7 +147,6 @@ class Shooter:
         bound_s = expected_s + self.settings.settle_s + patience_s
         wait = _Wait(
             tracker=tracker,
-            target=target,
             commanded_s=commanded_s,
             bound_s=bound_s,
             deadline_s=commanded_s + bound_s,
@@ -325,14 +323,17 @@ class Shooter:
             wait.deadline_s = max(wait.deadline_s, free_s + wait.bound_s)
 
     def _read(self, wait: _Wait, nose: Turner | None = None) -> None:
-        """Feed the tracker with what has come; of samples that end out of tolerance, the last one alone matters."""
+        """Feed the tracker with what has come."""
         readings = self.poses.since(wait.newest_s)
-        if nose is None and readings and not _is_inside(readings[-1], wait.target):
-            readings = readings[-1:]
+        if not readings:
+            return
+        wait.newest_s = readings[-1].time_s
+        if nose is None:
+            wait.tracker.add(*readings)
+            return
         for reading in readings:
-            wait.newest_s = reading.time_s
             wait.tracker.add(reading)
-            if nose is not None and wait.tracker.error is not None:
+            if wait.tracker.error is not None:
                 nose.note(reading.time_s, float(wait.tracker.error.yaw_deg))
 
     async def _gather(self, wait: _Wait, now_s: float, *, every_sample: bool) -> None:
@@ -359,13 +360,6 @@ class Shooter:
                 return
 
 
-def _is_inside(reading: Reading, target: Target) -> bool:
-    """Whether a reading is within the tolerance of a target."""
-    if reading.rotation is None:
-        return False
-    return bool(pose_error(target.pitch_deg, target.yaw_deg, reading.rotation).within(target.tolerance))
-
-
 @dataclass(kw_only=True)
 class _Wait:
     """The wait for one pose to settle; what keeps the trigger for other reasons moves its deadline.
@@ -376,7 +370,6 @@ class _Wait:
     """
 
     tracker: SettleTracker
-    target: Target
     commanded_s: float
     bound_s: float
     deadline_s: float

@@ -18,7 +18,7 @@ yaw error turns the image about the boresight and a roll error moves it sideways
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -48,6 +48,10 @@ class PoseError:
     along_deg: FloatArray
     rotation_deg: FloatArray
     boresight_deg: FloatArray
+
+    def __getitem__(self, index: int) -> PoseError:
+        """The error of one of the poses judged, counted along their first dimension."""
+        return PoseError(*(getattr(self, field.name)[index] for field in fields(self)))
 
     def within(self, tolerance: Tolerance) -> NDArray[np.bool_]:
         """Whether each axis's error is within its tolerance (inclusive); NaN never is."""

@@ -245,10 +245,31 @@ def test_the_worst_errors_keep_their_signs() -> None:
     assert [errors.pitch_deg, errors.yaw_deg] == pytest.approx([-0.08, -0.4])
 
 
+def test_readings_taken_at_once_lead_to_what_they_lead_to_one_by_one() -> None:
+    rng = np.random.default_rng(7)
+    for _ in range(50):
+        readings = [
+            _reading(0.02 * i, yaw=float(rng.normal(0, 0.5)), rate=float(rng.uniform(0, 3)))
+            if rng.random() < 0.9
+            else Reading(0.02 * i, None, math.nan, "broken")
+            for i in range(int(rng.integers(1, 12)))
+        ]
+        one_by_one, at_once = (SettleTracker(target=TARGET, limits=LIMITS) for _ in range(2))
+        for reading in readings:
+            one_by_one.add(reading)
+        at_once.add(*readings)
+        at_once.add()
+        assert at_once.problem == one_by_one.problem
+        assert at_once.inside_since_s == pytest.approx(one_by_one.inside_since_s, nan_ok=True)
+        assert (at_once.error is None) == (one_by_one.error is None)
+        if at_once.error is not None and one_by_one.error is not None:
+            assert float(at_once.error.yaw_deg) == float(one_by_one.error.yaw_deg)
+
+
 @given(yaw=angles, pitch=st.floats(-90, 90), spread=st.lists(st.floats(-1, 1), min_size=1, max_size=8))
 def test_the_mean_lies_in_the_middle(yaw: float, pitch: float, spread: list[float]) -> None:
     matrices = [rotation(yaw, pitch, s) for s in spread] + [rotation(yaw, pitch, -s) for s in spread]
-    mean = mean_pose(matrices)
+    mean = mean_pose(np.array(matrices))
     assert abs(float(np.dot(mean.q_wxyz, _q(rotation(yaw, pitch))))) == pytest.approx(1.0, abs=1e-9)
 
 
