@@ -39,6 +39,7 @@ class BrokerClient(aiomqtt.Client):
         self._abandoned = False
         logger = logging.Logger("mqtt")  # noqa: LOG001  (not the library's: what it says belongs to this connection)
         logger.addHandler(self._trouble)
+        logger.setLevel(self._trouble.level)  # paho remarks on each packet
         super().__init__(**options, logger=logger)
 
     async def __aenter__(self) -> Self:
@@ -91,15 +92,14 @@ class _Trouble(logging.Handler):
     """Keeps the last error that the library would only print."""
 
     def __init__(self) -> None:
-        super().__init__(logging.DEBUG)
+        super().__init__(logging.WARNING)
         self.last = ""
 
     def emit(self, record: logging.LogRecord) -> None:
         text = record.getMessage()
         if record.levelno >= logging.ERROR:
             self.last = text
-        if record.levelno >= logging.WARNING:
-            _log.debug("mqtt library", text=text)
+        _log.debug("mqtt library", text=text)
 
 
 async def broker_client(

@@ -257,6 +257,9 @@ class MqttLink:
     async def _send(self, client: aiomqtt.Client) -> None:
         while True:
             self.pulse_s = time.monotonic()
+            await asyncio.sleep(
+                0
+            )  # the state that an event has changed goes out, and is acknowledged, together with it
             batch = self.outbox.take(_BATCH)
             if batch:
                 await self._send_batch(client, batch)
