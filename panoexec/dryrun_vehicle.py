@@ -91,7 +91,7 @@ def _streams(rig: Rig, clock: Clock) -> tuple[Stream, ...]:
 async def _autopilot_version(link: MavsdkLink) -> str:
     """Its firmware's version as AUTOPILOT_VERSION (148) tells it, "" if it does not."""
     try:
-        fields = (await link.request_message(148, "AUTOPILOT_VERSION")).fields
+        fields = (await link.requests.message(148, "AUTOPILOT_VERSION")).fields
     except DeviceError:
         return ""
     word = int(fields["flight_sw_version"])

@@ -18,7 +18,8 @@ from mavsdk.plugins.camera import Camera, CameraList, Information
 from panoexec.adapters.attitude_messages import number
 from panoexec.adapters.capture_ledger import Capture, CaptureLedger, StampClock
 from panoexec.adapters.capture_reports import captured_report, feedback_report, file_is_there
-from panoexec.adapters.mavsdk_link import REQUEST_MESSAGE, MavsdkLink
+from panoexec.adapters.mavsdk_link import MavsdkLink
+from panoexec.adapters.mavsdk_requests import REQUEST_MESSAGE
 from panoexec.adapters.message_hub import MavMessage
 from panoexec.adapters.photo_recall import CAPTURE_STATUS, IMAGE_CAPTURED, recall_images, recall_trigger
 from panoexec.adapters.stream_keeper import AUTOPILOT
@@ -169,7 +170,7 @@ class MavsdkCamera:
         """
         if self._found is not None:
             return self._found
-        self._link.plugin(Camera)
+        self._link.requests.plugin(Camera)
         try:
             async with asyncio.timeout(timeout_s):
                 information = await self._choose()
@@ -178,7 +179,7 @@ class MavsdkCamera:
         by_autopilot = information.component_id <= 6
         pin = self._feedback_pin
         if pin is None and by_autopilot and self._link.is_ardupilot:
-            pin = (await self._link.parameter("CAM1_FEEDBAK_PIN") or -1) > 0
+            pin = (await self._link.requests.parameter("CAM1_FEEDBAK_PIN") or -1) > 0
         self._found = CameraFound(
             component=information.component_id,
             vendor=information.vendor_name,
@@ -189,14 +190,14 @@ class MavsdkCamera:
         )
         for message in (STORAGE_INFORMATION, CAPTURE_STATUS):
             with contextlib.suppress(DeviceError):  # then it does not say
-                await self._link.command(REQUEST_MESSAGE, [message], component=self._target)
+                await self._link.requests.command(REQUEST_MESSAGE, [message], component=self._target)
         _log.info("camera found", camera=self._found)
         return self._found
 
     async def trigger(self) -> PendingCapture:
         """See `Camera.trigger`."""
         found = await self.discover()
-        take_photo = partial(self._link.plugin(Camera).take_photo, found.component)
+        take_photo = partial(self._link.requests.plugin(Camera).take_photo, found.component)
         clock = self._link.clock
         async with self._triggering:
             self._numbers += 1
@@ -210,7 +211,7 @@ class MavsdkCamera:
                 return latest_s(clock)  # the camera counts its interval from before that
 
             try:
-                acknowledged_s = await self._link.vendor_call("taking a photo", fire)
+                acknowledged_s = await self._link.requests.vendor_call("taking a photo", fire)
             except DeviceError as error:
                 if error.__cause__ is not None and "TIMEOUT" not in str(error.__cause__):
                     self._ledger.withdraw(capture)  # refused; without an answer a photo may still come of it
@@ -283,7 +284,7 @@ class MavsdkCamera:
         return self._found.component if self._found is not None and not self._found.by_autopilot else AUTOPILOT
 
     def _attach(self) -> None:
-        plugin = self._link.plugin(Camera)
+        plugin = self._link.requests.plugin(Camera)
         handle = plugin.subscribe_camera_list(self._cameras_listed)
         self._off.append(partial(plugin.unsubscribe_camera_list, handle))
 
@@ -333,11 +334,11 @@ class MavsdkCamera:
             if file_is_there(capture.known.file_url):
                 capture.file_seen(link.clock.monotonic())
             return
-        status = await link.request_message(CAPTURE_STATUS, "CAMERA_CAPTURE_STATUS", component=target)
+        status = await link.requests.message(CAPTURE_STATUS, "CAMERA_CAPTURE_STATUS", component=target)
         images = int(status.fields["image_count"])
         if target != AUTOPILOT and images > 0:
             index = self._last_index + 1 if self._last_index >= 0 else images - 1
-            await link.command(REQUEST_MESSAGE, [IMAGE_CAPTURED, index], component=target)
+            await link.requests.command(REQUEST_MESSAGE, [IMAGE_CAPTURED, index], component=target)
 
     def _why_not_found(self) -> str:
         if not self._link.connected:

@@ -179,7 +179,7 @@ class MavsdkGimbal:
         """
         if self._found is not None:
             return self._found
-        plugin = self._link.plugin(Gimbal)
+        plugin = self._link.requests.plugin(Gimbal)
         try:
             async with asyncio.timeout(timeout_s):
                 await self._listed.wait()
@@ -204,10 +204,10 @@ class MavsdkGimbal:
         """See `Gimbal.acquire`. Also asks for the attitude at full rate."""
         gimbal = await self.discover()
         await self._link.use_rates(active=True)
-        plugin = self._link.plugin(Gimbal)
+        plugin = self._link.requests.plugin(Gimbal)
         take = partial(plugin.take_control, gimbal.gimbal_id, ControlMode.PRIMARY)
         self._control = None
-        await self._link.vendor_call("taking control of the gimbal", take)
+        await self._link.requests.vendor_call("taking control of the gimbal", take)
         try:
             async with asyncio.timeout(_TAKE_S):
                 await self._ask_status(gimbal.manager_component)
@@ -228,7 +228,7 @@ class MavsdkGimbal:
             raise ValueError(f"cannot point at pitch {pitch_deg}, yaw {yaw_deg}")
         gimbal = await self.discover()
         set_angles = partial(
-            self._link.plugin(Gimbal).set_angles,
+            self._link.requests.plugin(Gimbal).set_angles,
             gimbal.gimbal_id,
             0.0,
             pitch_deg,
@@ -237,16 +237,16 @@ class MavsdkGimbal:
             SendMode.ONCE,
         )
         where = "along the nose" if yaw_deg is None else f"yaw {yaw_deg:.1f}°"
-        await self._link.vendor_call(f"pointing the gimbal at pitch {pitch_deg:.1f}° {where}", set_angles)
+        await self._link.requests.vendor_call(f"pointing the gimbal at pitch {pitch_deg:.1f}° {where}", set_angles)
 
     async def release(self) -> None:
         """See `Gimbal.release`. Also lets the attitude come at the slow rate."""
         with contextlib.suppress(DeviceError, TimeoutError):
             async with asyncio.timeout(_RELEASE_S):
                 if self._found is not None:
-                    plugin = self._link.plugin(Gimbal)
+                    plugin = self._link.requests.plugin(Gimbal)
                     give = partial(plugin.release_control, self._found.gimbal_id)
-                    await self._link.vendor_call("releasing the gimbal", give)
+                    await self._link.requests.vendor_call("releasing the gimbal", give)
                     self._control = None
                 await self._link.use_rates(active=False)
                 return
@@ -314,7 +314,7 @@ class MavsdkGimbal:
     # --- on the loop
 
     def _attach(self) -> None:
-        plugin = self._link.plugin(Gimbal)
+        plugin = self._link.requests.plugin(Gimbal)
         gimbal_list = plugin.subscribe_gimbal_list(self._gimbals_listed)
         control_status = plugin.subscribe_control_status(self._control_status)
         self._off.append(partial(plugin.unsubscribe_gimbal_list, gimbal_list))
@@ -344,12 +344,12 @@ class MavsdkGimbal:
             return
         with contextlib.suppress(DeviceError):  # then there are none
             self._information(
-                await self._link.request_message(MANAGER_INFORMATION, "GIMBAL_MANAGER_INFORMATION", component=manager)
+                await self._link.requests.message(MANAGER_INFORMATION, "GIMBAL_MANAGER_INFORMATION", component=manager)
             )
 
     async def _ask_status(self, manager: int) -> None:
         with contextlib.suppress(DeviceError):  # it streams too
-            await self._link.request_message(MANAGER_STATUS, "GIMBAL_MANAGER_STATUS", component=manager)
+            await self._link.requests.message(MANAGER_STATUS, "GIMBAL_MANAGER_STATUS", component=manager)
 
     async def _find_feedback(self, device_id: int) -> Feedback:
         """Which feedback the mount gives; ArduPilot states the vehicle's frame even for what is none (see docs)."""
@@ -358,7 +358,7 @@ class MavsdkGimbal:
         stated: Feedback = "earth" if self._stated is YawFrame.EARTH else "vehicle"
         if not self._link.is_ardupilot or self._buffer.source_component != AUTOPILOT:
             return stated
-        kind = await self._link.parameter(f"MNT{max(device_id, 1)}_TYPE")
+        kind = await self._link.requests.parameter(f"MNT{max(device_id, 1)}_TYPE")
         if kind == _SERVO:
             self._frame = YawFrame.BODY
             return "body"

@@ -8,42 +8,33 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import math
-import textwrap
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import Final, Self, TypeVar
+from typing import Final, Self
 
 import structlog
-from mavsdk import Autopilot, MavsdkError, System
-from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
-from mavsdk.plugins.param import Param, ParamError, ParamResult
+from mavsdk import Autopilot
+from mavsdk.plugins.mavlink_direct import MavlinkDirect
 
 from panoexec.adapters.connection_url import ConnectionUrl, parse_connection
 from panoexec.adapters.datagram_mute import DatagramMute
 from panoexec.adapters.link_watch import DEFAULT_STREAMS, HEARTBEAT_LOST_S, Stream
+from panoexec.adapters.mavsdk_requests import MavsdkRequests
 from panoexec.adapters.message_hub import Handler, MavMessage, MessageHub
 from panoexec.adapters.stream_keeper import AUTOPILOT, StreamKeeper
-from panoexec.adapters.vendor import MAV_RESULTS, device_error, quiet_vendor_log
+from panoexec.adapters.vendor import quiet_vendor_log
 from panoexec.adapters.vendor_session import VendorSession
 from panoexec.adapters.worker_calls import WorkerCalls
-from panoexec.clock import Clock, work
-from panoexec.devices import Severity
-from panoexec.errors import DeviceError, LinkError
-
-T = TypeVar("T")
-P = TypeVar("P")
+from panoexec.clock import Clock
+from panoexec.errors import LinkError
 
 DEFAULT_COMPONENT: Final = 191
 """MAV_COMP_ID_ONBOARD_COMPUTER."""
 
-REQUEST_MESSAGE: Final = 512
 FAST_STREAMS: Final = ("GIMBAL_DEVICE_ATTITUDE_STATUS", "ATTITUDE")
 _GIMBAL_REPORTS: Final = ("GIMBAL_DEVICE_ATTITUDE_STATUS", 285)
-_PARAMETER_TRIES: Final = 3
-_PARAMETER_PAUSE_S: Final = 0.2
 _TICK_S: Final = 0.25
 _SPARING_TICK_S: Final = 0.5
 _LOOK_S: Final = 0.05
@@ -58,6 +49,7 @@ class MavsdkLink:
     Attributes:
         url: how the autopilot is reached.
         clock: of the mission; stamps messages.
+        requests: what can be asked of the vehicle.
         streams: what is asked for and how it flows.
         components: components of the vehicle that beat: id to (MAV_TYPE, real time of the last heartbeat).
     """
@@ -101,8 +93,21 @@ class MavsdkLink:
         self._session = VendorSession(self.url, self._calls)
         self._muted = DatagramMute(self.url, _GIMBAL_REPORTS[1])
         self._hub = MessageHub(clock, self.post, mute=self._mute)
+        self.requests = MavsdkRequests(
+            self._session,
+            self._calls,
+            self._hub,
+            clock=clock,
+            system_id=vehicle_system_id or 1,
+            connected=lambda: self.connected,
+            post=self.post,
+        )
         self.streams = StreamKeeper(
-            streams, hub=self._hub, clock=clock, command=self.command, rebooted=lambda: self.post(self._came_back)
+            streams,
+            hub=self._hub,
+            clock=clock,
+            command=self.requests.command,
+            rebooted=lambda: self.post(self._came_back),
         )
         self._on_attached: list[Callable[[], None]] = []
         self._on_return: list[Callable[[], None]] = []
@@ -226,124 +231,6 @@ class MavsdkLink:
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(callback, *args)
 
-    def plugin(self, kind: Callable[[System], P]) -> P:
-        """The one instance of a MAVSDK plugin.
-
-        Raises:
-            LinkError: the autopilot has not been found yet.
-        """
-        return self._session.plugin(kind)
-
-    async def vendor_call(self, what: str, call: Callable[[], T]) -> T:
-        """Run a blocking call of MAVSDK in a thread.
-
-        Args:
-            what: in words, for messages: "pointing the gimbal".
-            call: is not interrupted when this is cancelled.
-
-        Raises:
-            DeviceError: refused or not answered.
-            LinkError: not answered, and no heartbeats either; or the link is closed.
-        """
-        try:
-            with work(self.clock):
-                return await self._calls.run(call)
-        except MavsdkError as error:
-            raise device_error(what, error, connected=self.connected) from error
-        except RuntimeError as error:  # a plugin whose connection was closed
-            raise LinkError(f"{what}: the link is closed") from error
-
-    async def command(self, command: int, params: Sequence[float] = (), *, component: int = AUTOPILOT) -> int:
-        """Send a COMMAND_LONG and return its MAV_RESULT.
-
-        Args:
-            command: MAV_CMD.
-            params: the first of its seven parameters; the others are 0.
-            component: the target.
-
-        Raises:
-            DeviceError: not answered, or not sent.
-            LinkError: as `vendor_call`.
-        """
-        system = self._vehicle_system or 1
-        fields: dict[str, float] = {"target_system": system, "target_component": component, "command": command}
-        fields["confirmation"] = 0
-        for number in range(1, 8):
-            fields[f"param{number}"] = params[number - 1] if number <= len(params) else 0.0
-        message = MavlinkMessage("COMMAND_LONG", 0, 0, system, component, json.dumps(fields, allow_nan=False))
-        direct = self.plugin(MavlinkDirect)
-        ack = await self.vendor_call(f"command {command}", lambda: direct.send_command(message))
-        return int(json.loads(ack.fields_json)["result"])
-
-    async def request_message(
-        self,
-        message_id: int,
-        name: str,
-        *,
-        component: int = AUTOPILOT,
-        timeout_s: float = 2.0,
-        index: int = 0,
-        fits: Callable[[MavMessage], bool] = lambda _: True,
-    ) -> MavMessage:
-        """Ask once for a message (MAV_CMD_REQUEST_MESSAGE, 512) and return it.
-
-        Args:
-            message_id: MAVLink's number of it.
-            name: MAVLink's name of it.
-            component: of whom.
-            timeout_s: real seconds that it may take after the answer to the request.
-            index: param2 of the request: which one, where there are several.
-            fits: whether a message of that name is the one asked for.
-
-        Raises:
-            DeviceError: refused, or it did not come within `timeout_s` real seconds after the answer.
-            LinkError: as `vendor_call`.
-        """
-        arrived: asyncio.Future[MavMessage] = asyncio.get_running_loop().create_future()
-
-        def deliver(message: MavMessage) -> None:
-            if not arrived.done() and fits(message):
-                arrived.set_result(message)
-
-        off = self.on(name, lambda m: self.post(deliver, m) if m.component_id == component else None)
-        try:
-            result = await self.command(REQUEST_MESSAGE, [message_id, index], component=component)
-            if result != 0:
-                raise DeviceError(f"asking for {name} ({message_id}): {MAV_RESULTS.get(result, result)}")
-            async with asyncio.timeout(timeout_s):
-                return await arrived
-        except TimeoutError as error:
-            raise DeviceError(f"asking for {name} ({message_id}): accepted, but it did not come") from error
-        finally:
-            off()
-
-    async def parameter(self, name: str) -> float | None:
-        """A parameter of the autopilot; None if it has none of that name, or does not answer.
-
-        Raises:
-            LinkError: the autopilot has not been found yet.
-        """
-        plugin = self.plugin(Param)
-
-        def read() -> float:
-            try:
-                return float(plugin.get_param_int(name))
-            except ParamError as error:
-                if error.result != ParamResult.WRONG_TYPE:
-                    raise
-            return float(plugin.get_param_float(name))
-
-        for left in reversed(range(_PARAMETER_TRIES)):
-            try:
-                return await self.vendor_call(f"reading {name}", read)
-            except DeviceError as error:
-                # an autopilot that has just been found may not answer the first time; what a mount's reports are worth
-                # hangs on the answer
-                _log.debug("a parameter was not told", name=name, error=str(error))
-                if left:
-                    await asyncio.sleep(_PARAMETER_PAUSE_S)
-        return None
-
     async def use_rates(self, *, active: bool) -> None:
         """Ask for the rates of a flying mission, or for those of waiting. What fails is tried again by itself."""
         self.streams.active = active
@@ -351,32 +238,6 @@ class MavsdkLink:
         self._hub.spare(FAST_STREAMS if self._sparing and not active else ())
         if self.connected:
             await self.streams.ask()
-
-    async def send(self, what: str, name: str, fields: Mapping[str, object]) -> None:
-        """Send a message that nobody acknowledges.
-
-        Args:
-            what: in words, for messages.
-            name: MAVLink's name of it.
-            fields: by MAVLink's names.
-
-        Raises:
-            DeviceError: not sent.
-            LinkError: as `vendor_call`.
-        """
-        message = MavlinkMessage(name, fields_json=json.dumps(fields, allow_nan=False))
-        direct = self.plugin(MavlinkDirect)
-        await self.vendor_call(what, lambda: direct.send_message(message))
-
-    async def say(self, text: str, severity: Severity = Severity.NOTICE) -> None:
-        """Tell the pilot's ground station (STATUSTEXT, 253), in lines of 50 characters; never raises."""
-        for line in textwrap.wrap(text.encode("ascii", "replace").decode(), 50):
-            fields = {"severity": int(severity), "text": line, "id": 0, "chunk_seq": 0}
-            try:
-                await self.send("telling the pilot", "STATUSTEXT", fields)
-            except DeviceError as error:
-                _log.info("the pilot was not told", text=text, error=str(error))
-                return
 
     # --- in the vendor's thread
 
@@ -433,7 +294,7 @@ class MavsdkLink:
                 await self._session.reopen()
             await asyncio.sleep(_TICK_S if silent else _LOOK_S)
         vehicle = system.get_system_id()
-        self._vehicle_system = vehicle
+        self._vehicle_system = self.requests.system_id = vehicle
         if self._own_system is None:
             self._own_system = vehicle
             if vehicle != 1:  # components of one vehicle share its system id, which is only known now
@@ -444,7 +305,7 @@ class MavsdkLink:
                 return
         self._heartbeat_s = time.monotonic()
         self._session.system = system
-        self._hub.attach(self.plugin(MavlinkDirect))
+        self._hub.attach(self.requests.plugin(MavlinkDirect))
         # nothing is spared before somebody says that nothing flies: what looks for devices needs to hear them all
         await self.streams.ask()
         for callback in tuple(self._on_attached):

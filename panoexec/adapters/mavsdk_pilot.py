@@ -93,8 +93,8 @@ class MavsdkPilot:
         Raises:
             DeviceError: refused or not answered.
         """
-        action = self._link.plugin(Action)
-        await self._link.vendor_call(
+        action = self._link.requests.plugin(Action)
+        await self._link.requests.vendor_call(
             "flying there", lambda: action.goto_location(latitude_deg, longitude_deg, altitude_m, heading_deg)
         )
 
@@ -104,8 +104,8 @@ class MavsdkPilot:
         Raises:
             DeviceError: refused, or not down in time.
         """
-        action = self._link.plugin(Action)
-        await self._link.vendor_call("landing", action.land)
+        action = self._link.requests.plugin(Action)
+        await self._link.requests.vendor_call("landing", action.land)
         await self._wait(lambda: not self._vehicle.status.armed, timeout_s, "landing")
 
     async def set_speed(self, speed: float) -> None:
@@ -124,10 +124,10 @@ class MavsdkPilot:
             "param_value": speed,
             "param_type": _REAL32,
         }
-        await self._link.send("changing the speed", "PARAM_SET", fields)
+        await self._link.requests.send("changing the speed", "PARAM_SET", fields)
 
     async def _must(self, command: int, params: list[float], what: str) -> None:
-        result = await self._link.command(command, params)
+        result = await self._link.requests.command(command, params)
         if result != 0:
             raise DeviceError(f"{what}: {MAV_RESULTS.get(result, result)}")
 
@@ -154,21 +154,21 @@ class MavsdkPilot:
             if patience.is_over:
                 raise DeviceError(f"no GPS fix within {timeout_s:g} s (fix type {fix}, 3 is needed)")
             try:
-                fix = int((await self._link.request_message(_GPS_RAW_INT, "GPS_RAW_INT")).fields["fix_type"])
+                fix = int((await self._link.requests.message(_GPS_RAW_INT, "GPS_RAW_INT")).fields["fix_type"])
             except DeviceError as error:
                 _log.debug("no word of the GPS yet", error=str(error))
             await self._clock.sleep(_STEP_S)
 
     async def _arm(self, timeout_s: float, said: list[str]) -> None:
         patience = _Patience(self._clock, timeout_s)
-        action = self._link.plugin(Action)
+        action = self._link.requests.plugin(Action)
         refusal = ""
         while not self._vehicle.status.armed:
             if patience.is_over:
                 why = "; ".join(said) or refusal or "it did not say why"
                 raise DeviceError(f"the autopilot could not be armed within {timeout_s:g} s: {why}")
             try:
-                await self._link.vendor_call("arming", action.arm)
+                await self._link.requests.vendor_call("arming", action.arm)
             except DeviceError as error:
                 refusal = str(error)
             await self._clock.sleep(2 * _STEP_S)

@@ -84,7 +84,7 @@ class MavsdkVehicle:
         command: there it is a reposition to the place where it holds (192), at a speed of its own.
         """
         if self._link.is_ardupilot:
-            result = await self._link.command(CONDITION_YAW, [heading_deg % 360.0, rate_deg_s])
+            result = await self._link.requests.command(CONDITION_YAW, [heading_deg % 360.0, rate_deg_s])
             if result != 0:
                 raise DeviceError(f"turning the vehicle to {heading_deg:.1f}°: {MAV_RESULTS.get(result, result)}")
             return
@@ -95,14 +95,14 @@ class MavsdkVehicle:
         if not all(math.isfinite(value) for value in place):
             self._place = None
             raise DeviceError(f"turning the vehicle to {heading_deg:.1f}°: its position is unknown")
-        action = self._link.plugin(Action)
-        await self._link.vendor_call(
+        action = self._link.requests.plugin(Action)
+        await self._link.requests.vendor_call(
             f"turning the vehicle to {heading_deg:.1f}°", lambda: action.goto_location(*place, heading_deg)
         )
 
     async def say(self, text: str, severity: Severity = Severity.NOTICE) -> None:
         """See `Vehicle.say`."""
-        await self._link.say(text, severity)
+        await self._link.requests.say(text, severity)
 
     async def __aenter__(self) -> Self:
         """Start to listen."""
@@ -174,7 +174,7 @@ class MavsdkVehicle:
     # --- on the loop
 
     def _attach(self) -> None:
-        plugin = self._link.plugin(Telemetry)
+        plugin = self._link.requests.plugin(Telemetry)
         handle = plugin.subscribe_flight_mode(self._flight_mode)
         self._off.append(partial(plugin.unsubscribe_flight_mode, handle))
 

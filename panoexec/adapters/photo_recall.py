@@ -36,7 +36,7 @@ async def recall_images(link: MavsdkLink, *, component: int) -> Recollection:
         DeviceError: it does not tell how many it has.
         LinkError: no link.
     """
-    status = await link.request_message(CAPTURE_STATUS, "CAMERA_CAPTURE_STATUS", component=component)
+    status = await link.requests.message(CAPTURE_STATUS, "CAMERA_CAPTURE_STATUS", component=component)
     count = int(status.fields["image_count"])
     photos: list[RememberedPhoto] = []
     deadline = time.monotonic() + _ALL_S
@@ -44,7 +44,7 @@ async def recall_images(link: MavsdkLink, *, component: int) -> Recollection:
         if time.monotonic() > deadline:
             break
         try:
-            message = await link.request_message(
+            message = await link.requests.message(
                 IMAGE_CAPTURED,
                 "CAMERA_IMAGE_CAPTURED",
                 component=component,
@@ -69,10 +69,10 @@ async def recall_trigger(link: MavsdkLink, *, component: int, pin: bool) -> Reco
         DeviceError: it tells neither.
         LinkError: no link.
     """
-    status = await link.request_message(CAPTURE_STATUS, "CAMERA_CAPTURE_STATUS", component=component)
+    status = await link.requests.message(CAPTURE_STATUS, "CAMERA_CAPTURE_STATUS", component=component)
     count = int(status.fields["image_count"])
     try:
-        message = await link.request_message(
+        message = await link.requests.message(
             CAMERA_FEEDBACK, "CAMERA_FEEDBACK", component=component, timeout_s=_ANSWER_S
         )
     except LinkError:

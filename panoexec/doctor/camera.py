@@ -68,7 +68,7 @@ async def _examine_shutter(link: MavsdkLink, config: Config, findings: Findings,
     try:
         async with shutter:
             findings.ok("camera", "found", f"a cable release on {section.serial_port} ({section.serial_line})")
-            wired = findings.autopilot == "ardupilot" and (await link.parameter(_FEEDBACK_PIN) or -1) > 0
+            wired = findings.autopilot == "ardupilot" and (await link.requests.parameter(_FEEDBACK_PIN) or -1) > 0
             _examine_evidence(
                 EvidenceLevel.FEEDBACK_PIN if wired else EvidenceLevel.COMMANDED, config, findings, may_hand_over=False
             )

@@ -56,7 +56,7 @@ async def _parameters(link: MavsdkLink, autopilot: str) -> str:
     """The mount's parameters as they are set: `MNT1_TYPE = 6`."""
     out = []
     for name in _PARAMETERS.get(autopilot, ()):
-        value = await link.parameter(name)
+        value = await link.requests.parameter(name)
         if value is not None:
             out.append(f"{name} = {value:g}")
     return ", ".join(out)

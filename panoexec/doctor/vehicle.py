@@ -148,7 +148,7 @@ def _examine_components(link: MavsdkLink, findings: Findings) -> None:
 
 async def _version(link: MavsdkLink) -> str:
     try:
-        message = await link.request_message(_AUTOPILOT_VERSION, "AUTOPILOT_VERSION")
+        message = await link.requests.message(_AUTOPILOT_VERSION, "AUTOPILOT_VERSION")
     except DeviceError:
         return ""
     word = int(message.fields["flight_sw_version"])
@@ -218,7 +218,7 @@ def _judge_estimator(findings: Findings, rates: dict[str, list[Rate]]) -> None:
 async def _examine_clock(link: MavsdkLink, findings: Findings) -> None:
     """Compare our clock with the satellites'."""
     try:
-        message = await link.request_message(_SYSTEM_TIME, "SYSTEM_TIME")
+        message = await link.requests.message(_SYSTEM_TIME, "SYSTEM_TIME")
     except DeviceError:
         findings.note("clock", "vehicle", "the autopilot does not tell its time")
         return

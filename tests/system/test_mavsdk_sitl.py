@@ -88,7 +88,7 @@ async def flight(connection: str) -> AsyncIterator[Flight]:
 
 async def check_reboot(flown: Flight) -> None:
     """On the ground: the autopilot forgets its intervals, and is asked again without anybody's help."""
-    assert await flown.link.command(REBOOT, [1]) == 0
+    assert await flown.link.requests.command(REBOOT, [1]) == 0
     await eventually(lambda: flown.vehicle.status.boot_count == 1, 60)
     async with asyncio.timeout(60):
         await flown.gimbal.feed.newer_than(flown.clock.monotonic() + 5.0)

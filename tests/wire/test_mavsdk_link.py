@@ -96,7 +96,7 @@ async def test_a_lost_link_is_noticed_and_its_return_too(autopilot: ScriptedPeer
     assert 2.5 < time.monotonic() - began < 4.5
     autopilot.answers[31_000] = lambda _: None
     with pytest.raises(LinkError, match="no link to the autopilot"):
-        await link.command(31_000)
+        await link.requests.command(31_000)
     autopilot.commands.clear()
     autopilot.beating = True
     await link.wait_autopilot(5)
@@ -110,8 +110,8 @@ async def test_no_autopilot_says_what_to_look_at() -> None:
         with pytest.raises(LinkError, match=r"no autopilot on udpin://127\.0\.0\.1:\d+ within 0\.3 s: is it on"):
             await link.wait_autopilot(0.3)
         with pytest.raises(LinkError, match="no autopilot"):
-            await link.command(511)
-        await link.say("nobody listens")
+            await link.requests.command(511)
+        await link.requests.say("nobody listens")
 
 
 async def test_a_busy_port_is_named() -> None:
@@ -185,7 +185,9 @@ async def test_a_twin_on_the_vehicle_is_noticed(autopilot: ScriptedPeer, link: M
 
 
 async def test_tells_the_pilot_in_lines_of_fifty(autopilot: ScriptedPeer, link: MavsdkLink) -> None:
-    await link.say("panoexec: 37 of 64 shots, paused, the vehicle drifted 4.2 m from where it began — bring it back")
+    await link.requests.say(
+        "panoexec: 37 of 64 shots, paused, the vehicle drifted 4.2 m from where it began — bring it back"
+    )
     await autopilot.until(lambda: len(autopilot.others) >= 2)
     told = [message for message in autopilot.others if message.get_type() == "STATUSTEXT"]
     assert [message.severity for message in told] == [5, 5]
@@ -198,24 +200,24 @@ async def test_tells_the_pilot_in_lines_of_fifty(autopilot: ScriptedPeer, link: 
 
 async def test_commands_say_how_they_were_answered(autopilot: ScriptedPeer, link: MavsdkLink) -> None:
     autopilot.answers[31_001] = lambda _: FAILED
-    assert await link.command(31_001, [1.5, 2.5], component=1) == FAILED
+    assert await link.requests.command(31_001, [1.5, 2.5], component=1) == FAILED
     sent = autopilot.sent(31_001)[0]
     assert (sent.param1, sent.param2, sent.param3, sent.target_component) == (1.5, 2.5, 0.0, 1)
     autopilot.answers[31_002] = lambda _: None
     with pytest.raises(DeviceError, match="command 31002: not answered"):
-        await link.command(31_002)
+        await link.requests.command(31_002)
 
 
 async def test_asks_for_single_messages_and_parameters(autopilot: ScriptedPeer, link: MavsdkLink) -> None:
-    message = await link.request_message(33, "GLOBAL_POSITION_INT")
+    message = await link.requests.message(33, "GLOBAL_POSITION_INT")
     assert message.fields["lat"] == 473977420
     with pytest.raises(DeviceError, match=r"asking for HOME_POSITION \(242\): failed"):
-        await link.request_message(242, "HOME_POSITION")
+        await link.requests.message(242, "HOME_POSITION")
     autopilot.answers[512] = lambda _: 0
     with pytest.raises(DeviceError, match="accepted, but it did not come"):
-        await link.request_message(242, "HOME_POSITION", timeout_s=0.1)
+        await link.requests.message(242, "HOME_POSITION", timeout_s=0.1)
     autopilot.parameters["MNT1_TYPE"] = 6
-    assert await link.parameter("MNT1_TYPE") == 6
+    assert await link.requests.parameter("MNT1_TYPE") == 6
 
 
 async def test_handlers_can_be_taken_away_and_may_fail(autopilot: ScriptedPeer, link: MavsdkLink) -> None:
@@ -278,11 +280,11 @@ async def test_closing_waits_for_an_unanswered_command_but_not_for_ever(autopilo
         await link.wait_autopilot(10)
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.2):
-                await link.command(31_002)
+                await link.requests.command(31_002)
         began = time.monotonic()
     assert time.monotonic() - began < 3.0
     with pytest.raises(LinkError):
-        await link.command(511)
+        await link.requests.command(511)
 
 
 async def test_closing_leaves_a_command_that_makes_progress_for_ever(autopilot: ScriptedPeer) -> None:
@@ -301,7 +303,7 @@ async def test_closing_leaves_a_command_that_makes_progress_for_ever(autopilot: 
             await link.wait_autopilot(10)
             with pytest.raises(TimeoutError):
                 async with asyncio.timeout(0.2):
-                    await link.command(31_003)
+                    await link.requests.command(31_003)
             began = time.monotonic()
         assert time.monotonic() - began < 7.0
         stop.set()

@@ -37,7 +37,7 @@ class Clock:
 
 @dataclass
 class Autopilot:
-    """Both the link to a vehicle and the vehicle, as far as the pilot looks."""
+    """The link to a vehicle, the requests on it, and the vehicle, as far as the pilot looks."""
 
     clock: Clock
     kind: int = QUADROTOR
@@ -61,6 +61,10 @@ class Autopilot:
     def components(self) -> dict[int, tuple[int, float]]:
         return {1: (self.kind, 0.0)}
 
+    @property
+    def requests(self) -> Autopilot:
+        return self
+
     def on(self, name: str, handler: Callable[[MavMessage], None]) -> Callable[[], None]:
         assert name == "STATUSTEXT"
         self.handlers.append(handler)
@@ -70,7 +74,7 @@ class Autopilot:
         del kind
         return self
 
-    async def request_message(self, message_id: int, name: str) -> MavMessage:
+    async def message(self, message_id: int, name: str) -> MavMessage:
         fix = 3 if self.clock.now_s >= self.fix_from_s else 1
         return MavMessage(name, 1, {"fix_type": fix, "id": message_id}, self.clock.now_s)
 
