@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from panoexec import events as ev
-from panoexec.cli.output import console, minutes, note, print_facts
+from panoexec.cli.output import console, has_colours, minutes, note, print_facts
 from panoexec.cli.sphere_map import HEIGHT, WIDTH, Mark, SphereMap, marks_of
 from panoexec.dryrun import DryRunSummary
 from panoexec.mission.executor import Mission
@@ -87,8 +87,8 @@ class MissionView:
             return self._progress.get_renderable()
         if self._drawn is None or self._drawn[0] is not self._marks:
             self._map = self._map or SphereMap(self._plan.camera)
-            marks, colours = self._marks, self._out.color_system is not None
-            self._drawn = marks, self._map.text(self._shots, marks, colours=colours)
+            marks = self._marks
+            self._drawn = marks, self._map.text(self._shots, marks, colours=has_colours(self._out))
         return Group(self._drawn[1], self._progress.get_renderable())
 
     def _look(self, mission: Mission) -> None:

@@ -22,6 +22,11 @@ def console(*, stderr: bool = False) -> Console:
     return Console(stderr=stderr, highlight=False, width=None if is_terminal else _FILE_WIDTH)
 
 
+def has_colours(out: Console) -> bool:
+    """Whether colours tell anything there: a terminal that knows some, and a person who has not set NO_COLOR."""
+    return out.color_system is not None and not out.no_color
+
+
 def print_json(document: object) -> None:
     """Exactly one JSON document on stdout."""
     print(json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False))

@@ -18,7 +18,7 @@ from contextlib import aclosing
 from rich.live import Live
 
 from panoexec.cli.broker_options import add_broker_arguments, broker_of
-from panoexec.cli.output import console, note, print_json
+from panoexec.cli.output import console, has_colours, note, print_json
 from panoexec.cli.planning_options import positive
 from panoexec.cli.watch_view import ENDED, Watched, fleet_view, mission_view
 from panoexec.config import MqttSection
@@ -104,8 +104,11 @@ async def _listen(
             one.hear(heard.kind, heard.document)
             out = live.console
             size = (out.width, out.height) if out.is_terminal else (0, 0)
-            colours = out.color_system is not None and not out.no_color
-            view = fleet_view(vehicles) if vehicle is None else mission_view(name, one, room=size, colours=colours)
+            view = (
+                fleet_view(vehicles)
+                if vehicle is None
+                else mission_view(name, one, room=size, colours=has_colours(out))
+            )
             live.update(view, refresh=True)
             if vehicle is None or limit is None or not one.ended:
                 continue

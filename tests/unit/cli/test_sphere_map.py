@@ -192,6 +192,16 @@ def test_a_terminal_too_small_for_the_map_shows_the_bar_alone(width: int, height
     assert "4/4" in text
 
 
+def test_no_color_draws_with_characters(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NO_COLOR", "1")  # https://no-color.org
+    out = a_terminal(100, 40)
+    _flown(out)
+    text = out.file.getvalue()  # type: ignore[attr-defined]
+    assert "▀" not in text
+    assert text.count("█") >= WIDTH
+    assert "█ done 4" in text
+
+
 def test_programs_get_lines(capsys: pytest.CaptureFixture[str]) -> None:
     _flown(a_terminal(100, 40), live=False)
     err = capsys.readouterr().err
