@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panoexec.angles import rotation
-from panoexec.mission.record import MissionRecord, ShotRecord, ShotStatus
+from panoexec.mission.record import MissionRecord, ShotRecord
+from panoexec.mission.standing import Standing, standing_of
 from panoexec.optics import Camera
 from panoexec.planning.model import Shot
 
@@ -40,6 +41,14 @@ class Mark(IntEnum):
     CURRENT = 6
 
 
+MARKS: Final[Mapping[Standing, Mark]] = {
+    Standing.TO_DO: Mark.PENDING,
+    Standing.CURRENT: Mark.CURRENT,
+    Standing.DONE: Mark.DONE,
+    Standing.RETAKEN: Mark.RETAKEN,
+    Standing.AGAIN: Mark.AGAIN,
+    Standing.MISSING: Mark.MISSING,
+}
 LEGEND: Final[Mapping[Mark, tuple[str, str, str]]] = {
     Mark.DONE: ("#2e9e44", "█", "done"),
     Mark.RETAKEN: ("#1fa6a6", "▓", "retaken"),
@@ -59,14 +68,7 @@ def mark_of(record: ShotRecord, *, current: bool) -> Mark:
         record: of the shot.
         current: it is the one that is being taken.
     """
-    if current and record.status in {ShotStatus.ACTIVE, ShotStatus.EXPOSED}:
-        return Mark.CURRENT
-    if record.accepted is not None:
-        return Mark.RETAKEN if record.accepted.number > 1 else Mark.DONE
-    if record.status in {ShotStatus.MISSED, ShotStatus.SKIPPED}:
-        return Mark.MISSING
-    tried = any(attempt.code for attempt in record.attempts)
-    return Mark.AGAIN if tried else Mark.PENDING
+    return MARKS[standing_of(record, current=current)]
 
 
 def marks_of(record: MissionRecord) -> dict[int, Mark]:

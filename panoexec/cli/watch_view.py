@@ -12,8 +12,9 @@ from rich.table import Table
 from rich.text import Text
 
 from panoexec.cli.output import minutes
-from panoexec.cli.sphere_map import HEIGHT, WIDTH, Mark, SphereMap
+from panoexec.cli.sphere_map import HEIGHT, MARKS, WIDTH, Mark, SphereMap
 from panoexec.errors import InputFileError
+from panoexec.mission.standing import standings_from_text
 from panoexec.planfile import PlanFile, plan_from_data
 
 ENDED: Final = {"complete": 0, "incomplete": 1, "aborted": 1, "failed": 3}
@@ -128,7 +129,10 @@ class Watched:
         self.sphere = None if camera is None else SphereMap(camera)
 
     def marks(self) -> dict[int, Mark]:
-        """What the map shows of each shot, as far as its attempts were heard."""
+        """What the map shows of each shot: as the state tells, else as far as its attempts were heard."""
+        total, text = self.state.get("shots_total"), self.state.get("shots")
+        if isinstance(total, int) and isinstance(text, str) and (told := standings_from_text(text, count=total)):
+            return {index: MARKS[standing] for index, standing in enumerate(told)}
         out: dict[int, Mark] = {}
         for (shot, number), attempt in self.attempts.items():
             again = out.get(shot) in (Mark.DONE, Mark.RETAKEN)  # the earlier photo counts until a new one does

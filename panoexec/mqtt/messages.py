@@ -296,6 +296,9 @@ class State(_Payload):
         state: of the mission; `idle` without one.
         mission_id: the mission that the other fields tell of; null without one.
         shots_total, shots_done, attempts, retakes: counts.
+        shots: where each shot stands, in the order of their indices, equal neighbours together, for example
+            `d12 r1 c1 t42`: d done, r done by a retake, c being taken, a to be taken again, m missing (given up or left
+            out), t to do; empty without a mission.
         current: index of the shot that is being taken.
         eta_s: seconds until shooting is over.
         reason: why it is in this state, for people.
@@ -311,6 +314,7 @@ class State(_Payload):
     shots_done: int
     attempts: int
     retakes: int
+    shots: str
     current: int | None
     eta_s: float | None
     reason: str

@@ -18,6 +18,7 @@ from panoexec.config import Config
 from panoexec.errors import PanoexecError
 from panoexec.events import Event
 from panoexec.logs import configure_logs
+from panoexec.mission.standing import standings_text
 from panoexec.mqtt.link import Incoming, MqttLink
 from panoexec.mqtt.messages import RefusedRequestError, State, dump, dump_json
 from panoexec.mqtt.transactions import Transactions
@@ -276,6 +277,7 @@ class Daemon:
             shots_done=0 if record is None else record.shots_done,
             attempts=0 if record is None else record.attempts,
             retakes=0 if record is None else record.retakes,
+            shots="" if record is None else standings_text(record),
             current=record.current if record is not None and mission is not None else None,
             eta_s=round(eta, 1) if math.isfinite(eta) else None,
             reason=reason,

@@ -93,6 +93,18 @@ def test_the_sphere_is_drawn_where_there_is_room() -> None:
     assert one.sphere is None
 
 
+def test_who_comes_late_sees_all_that_was_done_before() -> None:
+    one = Watched()
+    one.hear("state", STATE | {"shots_total": 6, "shots": "d1 r1 m1 a1 c1 t1"})
+    one.hear("event", event("shot_started", 90, shot=4, attempt=1))
+    assert list(one.marks().values()) == [
+        *(Mark.DONE, Mark.RETAKEN, Mark.MISSING, Mark.AGAIN, Mark.CURRENT, Mark.PENDING)
+    ]
+    for nonsense in ("d7", "d5 ?", None, 3):
+        one.hear("state", STATE | {"shots_total": 6, "shots": nonsense})
+        assert one.marks() == {4: Mark.CURRENT}
+
+
 def test_only_the_last_attempts_are_shown_and_a_new_mission_begins_anew() -> None:
     one = Watched()
     for number in range(40):
