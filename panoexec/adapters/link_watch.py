@@ -33,8 +33,8 @@ class Stream:
 
 
 DEFAULT_STREAMS: Final = (
-    Stream(message_id=285, name="GIMBAL_DEVICE_ATTITUDE_STATUS", rate_hz=50.0, idle_rate_hz=5.0),
-    Stream(message_id=30, name="ATTITUDE", rate_hz=50.0, idle_rate_hz=5.0),
+    Stream(message_id=285, name="GIMBAL_DEVICE_ATTITUDE_STATUS", rate_hz=50.0, idle_rate_hz=2.0),
+    Stream(message_id=30, name="ATTITUDE", rate_hz=50.0, idle_rate_hz=2.0),
     Stream(message_id=281, name="GIMBAL_MANAGER_STATUS", rate_hz=2.0, idle_rate_hz=1.0),
     Stream(message_id=33, name="GLOBAL_POSITION_INT", rate_hz=5.0, idle_rate_hz=2.0),
     Stream(message_id=1, name="SYS_STATUS", rate_hz=1.0, idle_rate_hz=1.0),

@@ -36,7 +36,7 @@ DEFAULT_COMPONENT: Final = 191
 FAST_STREAMS: Final = ("GIMBAL_DEVICE_ATTITUDE_STATUS", "ATTITUDE")
 _GIMBAL_REPORTS: Final = ("GIMBAL_DEVICE_ATTITUDE_STATUS", 285)
 _TICK_S: Final = 0.25
-_SPARING_TICK_S: Final = 0.5
+_SPARING_TICK_S: Final = 1.0
 _LOOK_S: Final = 0.05
 _SILENT_REOPEN_S: Final = 5.0
 
@@ -76,7 +76,7 @@ class MavsdkLink:
             vehicle_system_id: which vehicle, where one connection carries several; None takes the first.
             streams: messages to ask for.
             patient: a serial device or a host that is absent when the link is opened is waited for, not an error.
-            sparing: look at fast streams only twice a second (of real time) from `use_rates(active=False)` on.
+            sparing: look at fast streams only once a second (of real time) from `use_rates(active=False)` on.
 
         Raises:
             UsageError: the URL is wrong.

@@ -96,7 +96,7 @@ async def test_is_taken_and_given_back_with_confirmation(gimbal_autopilot: Gimba
     await gimbal.release()
     assert gimbal_autopilot.control == (0, 0)
     assert not gimbal.in_control
-    assert gimbal_autopilot.streams[285] == pytest.approx(1 / 5)
+    assert gimbal_autopilot.streams[285] == pytest.approx(1 / 2)
 
 
 async def test_taking_it_is_not_believed_without_confirmation(

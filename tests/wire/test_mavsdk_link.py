@@ -34,12 +34,12 @@ async def test_finds_the_autopilot_and_asks_for_its_streams(autopilot: ScriptedP
     assert link.own_ids == (1, 191)
     assert link.is_ardupilot
     await autopilot.until(lambda: 33 in autopilot.streams)
-    assert interval_requests(autopilot, 30) == [5.0]
+    assert interval_requests(autopilot, 30) == [2.0]
     await link.use_rates(active=True)
     assert interval_requests(autopilot, 30)[-1] == pytest.approx(50.0)
     assert interval_requests(autopilot, 33)[-1] == pytest.approx(5.0)
     await link.use_rates(active=False)
-    assert interval_requests(autopilot, 30)[-1] == pytest.approx(5.0)
+    assert interval_requests(autopilot, 30)[-1] == pytest.approx(2.0)
     sender = autopilot.commands[0]
     assert (sender.get_srcSystem(), sender.get_srcComponent()) == (1, 191)
     await autopilot.until(lambda: (1, 191) in autopilot.heard)
