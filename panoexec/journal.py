@@ -14,6 +14,7 @@ import asyncio
 import contextlib
 import json
 import os
+import shutil
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -31,6 +32,9 @@ SCHEMA = """
 CREATE TABLE head (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
 CREATE TABLE events (seq INTEGER PRIMARY KEY, type TEXT NOT NULL, time_utc_s REAL NOT NULL, json TEXT NOT NULL) STRICT;
 """
+
+_ROOM_BYTES = 64 * 1024
+"""What SQLite needs beside a journal to read what a killed process left: 32 KiB, in pages of the disk."""
 
 T = TypeVar("T")
 
@@ -219,7 +223,9 @@ def _unusable(path: Path, error: sqlite3.Error | UnicodeDecodeError) -> JournalF
     if "locked" in str(error):
         return JournalFileError(f"{path}: in use by another panoexec; stop that one first")
     if isinstance(error, sqlite3.OperationalError) and "malformed" not in str(error):
-        return JournalFileError(f"{path}: cannot be opened ({error})")
+        full = shutil.disk_usage(path.parent).free < _ROOM_BYTES
+        why = f"there is no room left in {path.parent}" if full else str(error)
+        return JournalFileError(f"{path}: cannot be opened ({why})")
     return JournalFileError(f"{path}: damaged ({error}); it was left as it is")
 
 

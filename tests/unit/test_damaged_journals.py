@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import random
 import shutil
+import sqlite3
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -129,8 +131,6 @@ def test_a_transaction_that_a_power_cut_tore_is_no_damage(journals: Journals, tm
 
 
 def test_events_that_make_no_sense(journals: Journals, tmp_path: Path) -> None:
-    import sqlite3  # noqa: PLC0415
-
     for text in ("[]", '"warned"', '{"type": "photo_identified", "seq": 5, "shot": 0, "attempt": 9, "photos": []}'):
         folder = tmp_path / "mission"
         shutil.rmtree(folder, ignore_errors=True)
@@ -150,3 +150,15 @@ async def test_what_cannot_be_read_is_said(journals: Journals, tmp_path: Path) -
     (folder / LOG).mkdir()
     with pytest.raises(JournalFileError, match=f"{LOG}: cannot be read"):
         await open_mission(MissionDirectory(folder))
+
+
+async def test_a_full_disk_is_called_so(journals: Journals, monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(*_: object, **__: object) -> sqlite3.Connection:
+        raise sqlite3.OperationalError("disk I/O error")
+
+    monkeypatch.setattr(sqlite3, "connect", failing)
+    with pytest.raises(JournalFileError, match="cannot be opened .disk I/O error"):
+        await open_mission(MissionDirectory(journals.killed))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
+    with pytest.raises(JournalFileError, match="cannot be opened .there is no room left in"):
+        await open_mission(MissionDirectory(journals.killed))
