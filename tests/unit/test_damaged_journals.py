@@ -157,8 +157,8 @@ async def test_a_full_disk_is_called_so(journals: Journals, monkeypatch: pytest.
         raise sqlite3.OperationalError("disk I/O error")
 
     monkeypatch.setattr(sqlite3, "connect", failing)
-    with pytest.raises(JournalFileError, match="cannot be opened .disk I/O error"):
+    with pytest.raises(JournalFileError, match=r"cannot be opened .disk I/O error"):
         await open_mission(MissionDirectory(journals.killed))
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
-    with pytest.raises(JournalFileError, match="cannot be opened .there is no room left in"):
+    with pytest.raises(JournalFileError, match=r"cannot be opened .there is no room left in"):
         await open_mission(MissionDirectory(journals.killed))
