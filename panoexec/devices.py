@@ -139,7 +139,7 @@ class PendingCapture(Protocol):
 
     @property
     def acknowledged_s(self) -> float:
-        """When the acknowledgement arrived."""
+        """When the acknowledgement arrived; NaN where nobody acknowledges, as over a cable."""
         ...
 
     async def evidence(self, at_least: EvidenceLevel, timeout_s: float) -> CaptureEvidence:

@@ -188,8 +188,11 @@ class Shooter:
                 failure = f"photo {number} of {self.settings.brackets}: {error}"
                 self._ready_s = self.clock.monotonic() + min(self.settings.interval_s, AFTER_REFUSAL_S)
                 break
-            # from the answer on, as the camera got the command before that: it counts its interval from then
-            self._ready_s = capture.acknowledged_s + self.settings.interval_s
+            # from the answer on, as the camera got the command before that: it counts its interval from then. Where
+            # none comes, as over a cable, from the end of the command
+            answered_s = capture.acknowledged_s
+            now_s = self.clock.monotonic()
+            self._ready_s = (now_s if math.isnan(answered_s) else answered_s) + self.settings.interval_s
             captures.append(capture)
             stamps.append(self.clock.time() - (self.clock.monotonic() - capture.commanded_s))
             end_s = await self._exposure_end(capture)

@@ -11,11 +11,15 @@ from panoexec.errors import DeviceError
 from panoexec.events import Photo
 
 
-def first_photos(trigger_utc_s: Sequence[float]) -> tuple[Photo, ...]:
-    """Photos of which nothing is known but that their trigger was acknowledged."""
+def first_photos(trigger_utc_s: Sequence[float], captures: Sequence[PendingCapture]) -> tuple[Photo, ...]:
+    """Photos of which nothing is known but that their trigger went out, and was acknowledged by whoever can do that."""
     return tuple(
-        Photo(number=number, evidence=EvidenceLevel.ACKNOWLEDGED, capture_time_utc_s=stamp)
-        for number, stamp in enumerate(trigger_utc_s, start=1)
+        Photo(
+            number=number,
+            evidence=EvidenceLevel.COMMANDED if math.isnan(capture.acknowledged_s) else EvidenceLevel.ACKNOWLEDGED,
+            capture_time_utc_s=stamp,
+        )
+        for number, (stamp, capture) in enumerate(zip(trigger_utc_s, captures, strict=True), start=1)
     )
 
 

@@ -111,7 +111,7 @@ class Shooting:
         self._exposed(shot.index, number, result, exposure)
 
     def _exposed(self, shot: int, number: int, settled: Settled, exposure: Exposure) -> None:
-        verdict, photos = exposure.verdict, evidence.first_photos(exposure.trigger_utc_s)
+        verdict, photos = exposure.verdict, evidence.first_photos(exposure.trigger_utc_s, exposure.captures)
         exposed = ev.ShotExposed(
             shot=shot,
             attempt=number,

@@ -275,7 +275,8 @@ class FakeCapture:
         if at_least > EvidenceLevel.ACKNOWLEDGED:
             await clock.sleep(until - clock.monotonic())
         if clock.monotonic() + 1e-9 < self.proof_s:
-            return CaptureEvidence(level=EvidenceLevel.ACKNOWLEDGED, received_s=self.acknowledged_s)
+            least = min(self.level, EvidenceLevel.ACKNOWLEDGED)
+            return CaptureEvidence(level=least, received_s=self.commanded_s)
         has_file = self.level >= EvidenceLevel.CAPTURE_MESSAGE
         return CaptureEvidence(
             level=self.level,
@@ -350,10 +351,11 @@ class FakeCamera:
         if self.lost_proofs > 0:
             self.lost_proofs -= 1
             level = EvidenceLevel.ACKNOWLEDGED
+        answers = level > EvidenceLevel.COMMANDED
         return FakeCapture(
             camera=self,
             commanded_s=commanded_s,
-            acknowledged_s=self.clock.monotonic(),
+            acknowledged_s=self.clock.monotonic() if answers else math.nan,
             index=photo.index,
             level=level,
             proof_s=photo.ended_s + self.proof_after_s,
