@@ -11,6 +11,16 @@ from panoexec.optics import Camera
 from panoexec.planning.model import Band, Constraints, Plan, Shot, Tolerance
 from panoexec.sim.scene import Scene
 
+CAMERA = Camera(
+    name="test",
+    sensor_width_mm=16.0,
+    sensor_height_mm=12.0,
+    image_width_px=4000,
+    image_height_px=3000,
+    focal_length_mm=9.0,
+)
+"""83° x 67°: few images cover much."""
+BAND = Band(elevation_min_deg=-90, elevation_max_deg=-4)
 TOLERANCE = Tolerance(pitch_deg=0.017, roll_deg=0.017, yaw_deg=0.667)
 
 

@@ -9,21 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from panoexec.mission_dir import MissionDirectory
-from panoexec.optics import Camera
-from panoexec.planning.model import Band
 from panoexec.sim.scene import procedural_scene
-from tests.missions import ring_poses, write_mission
+from tests.missions import BAND, CAMERA, ring_poses, write_mission
 
-CAMERA = Camera(
-    name="test",
-    sensor_width_mm=16.0,
-    sensor_height_mm=12.0,
-    image_width_px=4000,
-    image_height_px=3000,
-    focal_length_mm=9.0,
-)
-"""83° x 67°: few images cover much."""
-BAND = Band(elevation_min_deg=-90, elevation_max_deg=-4)
 START_UTC_S = 1.79e9
 
 

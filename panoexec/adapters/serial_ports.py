@@ -1,4 +1,4 @@
-"""`serial = "auto"`: which of the serial ports is the flight controller, and why."""
+"""Where the autopilot is, and for `serial = "auto"` which of the serial ports is the flight controller, and why."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Final
 
 from serial.tools import list_ports
 
-from panoexec.adapters.connection_url import ConnectionUrl
+from panoexec.adapters.connection_url import ConnectionUrl, parse_connection
+from panoexec.config import VehicleSection
 from panoexec.errors import LinkError
 
 BY_ID: Final = Path("/dev/serial/by-id")
@@ -108,6 +109,20 @@ def find_flight_controller(ports: Sequence[SerialPort], baud: int) -> Connection
         f'serial = "auto" found no flight controller: {seen}; plug it in, or name the port: '
         f'connection = "serial:///dev/serial/by-id/DEVICE:{baud}"'
     )
+
+
+def connection_of(section: VehicleSection) -> ConnectionUrl:
+    """Where a configuration says that the autopilot is; looks through the serial ports for `serial = "auto"`.
+
+    Raises:
+        LinkError: none or several ports may be the flight controller.
+    """
+    if section.serial == "auto":
+        return find_flight_controller(list_serial_ports(), section.baud)
+    if section.serial is not None:
+        return parse_connection(f"serial://{section.serial}:{section.baud}")
+    assert section.connection is not None
+    return parse_connection(section.connection)
 
 
 def list_serial_ports(by_id: Path = BY_ID) -> list[SerialPort]:

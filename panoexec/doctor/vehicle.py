@@ -9,12 +9,11 @@ import time
 from datetime import UTC, datetime
 from typing import Final
 
-from panoexec.adapters.connection_url import ConnectionUrl, parse_connection
 from panoexec.adapters.link_watch import DEFAULT_STREAMS
 from panoexec.adapters.mavsdk_gimbal import MavsdkGimbal
 from panoexec.adapters.mavsdk_link import MavsdkLink
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
-from panoexec.adapters.serial_ports import find_flight_controller, list_serial_ports
+from panoexec.adapters.serial_ports import connection_of
 from panoexec.adapters.stream_keeper import AUTOPILOT
 from panoexec.clock import Clock
 from panoexec.config import Config
@@ -44,21 +43,6 @@ _WITHOUT: Final = {
 }
 
 
-def connection_of(config: Config) -> ConnectionUrl:
-    """Where the configuration says that the autopilot is; looks through the serial ports for `serial = "auto"`.
-
-    Raises:
-        LinkError: none or several ports may be the flight controller.
-    """
-    section = config.vehicle
-    if section.serial == "auto":
-        return find_flight_controller(list_serial_ports(), section.baud)
-    if section.serial is not None:
-        return parse_connection(f"serial://{section.serial}:{section.baud}")
-    assert section.connection is not None
-    return parse_connection(section.connection)
-
-
 async def examine_vehicle(
     config: Config, findings: Findings, *, clock: Clock, patience_s: float, photo: bool = False
 ) -> None:
@@ -72,7 +56,7 @@ async def examine_vehicle(
         photo: take one photo to see what proves it.
     """
     try:
-        url = await asyncio.to_thread(connection_of, config)
+        url = await asyncio.to_thread(connection_of, config.vehicle)
     except LinkError as error:
         findings.missing("link", "port", str(error), advice="[vehicle] serial or connection")
         return

@@ -11,12 +11,11 @@ from typing import Final
 
 import structlog
 
-from panoexec.adapters.connection_url import ConnectionUrl, parse_connection
 from panoexec.adapters.mavsdk_camera import MavsdkCamera
 from panoexec.adapters.mavsdk_gimbal import MavsdkGimbal
 from panoexec.adapters.mavsdk_link import MavsdkLink
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
-from panoexec.adapters.serial_ports import find_flight_controller, list_serial_ports
+from panoexec.adapters.serial_ports import connection_of
 from panoexec.adapters.serial_shutter import SerialShutter
 from panoexec.clock import Clock
 from panoexec.config import Config
@@ -116,7 +115,7 @@ class VehicleLink:
         """One link, until it fails for good."""
         section = self._config.vehicle
         feedback = self._config.gimbal.feedback
-        url = await asyncio.to_thread(self._url)
+        url = await asyncio.to_thread(connection_of, section)
         link = MavsdkLink(url, clock=self._clock, component_id=section.component_id, patient=True, sparing=True)
         async with contextlib.AsyncExitStack() as stack:
             stack.callback(self._forget)
@@ -178,15 +177,6 @@ class VehicleLink:
                 else:
                     break
             yield camera
-
-    def _url(self) -> ConnectionUrl:
-        section = self._config.vehicle
-        if section.serial == "auto":
-            return find_flight_controller(list_serial_ports(), section.baud)
-        if section.serial is not None:
-            return parse_connection(f"serial://{section.serial}:{section.baud}")
-        assert section.connection is not None
-        return parse_connection(section.connection)
 
     def _look(self) -> None:
         """Prove life, and tell changes."""

@@ -373,29 +373,6 @@ async def _open_link(config: SimConfig) -> UdpLink | TcpLink:
     return UdpLink.sending_to("ground", config.host, [config.port] if config.port else DEFAULT_PORTS)
 
 
-async def simulate(
-    config: SimConfig,
-    *,
-    on_ready: Callable[[Ready], None],
-    note: Callable[[str], None],
-    tied: bool = False,
-    leashed: bool = False,
-) -> Summary:
-    """Run the simulated vehicle until it is told to end; see `Server`.
-
-    Raises:
-        PanoexecError: see `Server.run`.
-    """
-    try:
-        return await Server(config, on_ready=on_ready, note=note, tied=tied, leashed=leashed).run()
-    except BaseExceptionGroup as group:
-        # one of the tasks failed for a reason that a user can understand
-        understood, _ = group.split(LinkError)
-        if understood is not None:
-            raise understood.exceptions[0] from group
-        raise
-
-
 def run_simulation(
     config: SimConfig,
     *,
@@ -404,5 +381,16 @@ def run_simulation(
     tied: bool = False,
     leashed: bool = False,
 ) -> Summary:
-    """`simulate` from outside an event loop: in the foreground until Ctrl-C."""
-    return asyncio.run(simulate(config, on_ready=on_ready, note=note, tied=tied, leashed=leashed))
+    """Run the simulated vehicle in the foreground until it is told to end; see `Server`.
+
+    Raises:
+        PanoexecError: see `Server.run`.
+    """
+    try:
+        return asyncio.run(Server(config, on_ready=on_ready, note=note, tied=tied, leashed=leashed).run())
+    except BaseExceptionGroup as group:
+        # one of the tasks failed for a reason that a user can understand
+        understood, _ = group.split(LinkError)
+        if understood is not None:
+            raise understood.exceptions[0] from group
+        raise

@@ -1,7 +1,5 @@
 """The dry-run as users type it: a process, real UDP, real files."""
 
-import json
-import logging
 import os
 import signal
 import socket
@@ -14,46 +12,26 @@ from typing import Any
 import numpy as np
 import PIL.Image
 import pytest
-import structlog
 
 from panoexec.angles import rotation_from_quaternion
 from panoexec.cli.app import run
 from panoexec.planning.pose_error import pose_error
+from tests.system.dry_runs import DRY_RUN, accepted, dry_run, flown, manifest_of
 
-
-@pytest.fixture(autouse=True)
-def own_logs() -> Iterator[None]:
-    """The verb sets up logging for its process; put back what the tests had."""
-    root = logging.getLogger()
-    handlers, level = root.handlers[:], root.level
-    yield
-    root.handlers[:] = handlers
-    root.setLevel(level)
-    structlog.reset_defaults()
-
+# the verb sets up logging for its process
+pytestmark = pytest.mark.usefixtures("restored_logs")
 
 SMALL = ("--elevation", "-20", "15", "--azimuth", "-50", "50", "--image-width", "160")
 TOLERANCE = ("--tolerance-pitch", "0.15", "--tolerance-roll", "0.15", "--tolerance-yaw", "0.7")
 LIMITS = {"pitch": 0.15, "roll": 0.15, "yaw": 0.7}
 
 
-def panoexec(*arguments: str, timeout_s: float = 120) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "panoexec", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, check=False)
-
-
-def manifest_of(summary: dict[str, Any]) -> dict[str, Any]:
-    text = (Path(summary["directory"]) / "manifest.json").read_text(encoding="utf-8")
-    return dict(json.loads(text))
-
-
 def assert_accepted_within_tolerance(manifest: dict[str, Any]) -> None:
-    for shot in manifest["shots"]:
-        attempt = next(a for a in shot["attempts"] if a["number"] == shot["accepted_attempt"])
+    for attempt in accepted(manifest):
         assert all(abs(attempt["error_deg"][axis]) <= limit for axis, limit in LIMITS.items())
         # judged anew from the quaternion, not from what the manifest says of it
         measured = rotation_from_quaternion(np.array(attempt["measured"]["quaternion"]))
-        error = pose_error(shot["target"]["pitch_deg"], shot["target"]["yaw_deg"], measured)
+        error = pose_error(attempt["target"]["pitch_deg"], attempt["target"]["yaw_deg"], measured)
         assert abs(float(error.pitch_deg)) <= LIMITS["pitch"]
         assert abs(float(error.roll_deg)) <= LIMITS["roll"]
         assert abs(float(error.yaw_deg)) <= LIMITS["yaw"]
@@ -75,14 +53,12 @@ def busy_computer() -> Iterator[None]:
 @pytest.mark.usefixtures("busy_computer")
 def test_a_mission_ends_complete_with_photos_and_manifest(tmp_path: Path) -> None:
     """As fast as it goes on a busy computer: nothing is late by the clock that counts, no photo is lost to that."""
-    done = panoexec("dry-run", *SMALL, *TOLERANCE, "--speedup", "20", "--output", str(tmp_path), "--json")
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
+    summary = flown(*SMALL, *TOLERANCE, "--speedup", "20", "--output", str(tmp_path))
     assert summary["attempts"] == summary["accepted"] == summary["photos"] == summary["shots"]
     assert summary["rejected"] == {}
     assert 0.9 < summary["limit_ratio"] <= 1.15
     manifest = manifest_of(summary)
-    assert summary["state"] == manifest["state"] == "complete"
+    assert manifest["state"] == "complete"
     assert manifest["certificate"]["uncovered_fraction"] == 0
     assert_accepted_within_tolerance(manifest)
     folder = Path(summary["directory"])
@@ -99,10 +75,7 @@ def test_a_mission_ends_complete_with_photos_and_manifest(tmp_path: Path) -> Non
 
 def test_drift_is_rejected_with_a_reason_and_retaken_on_px4_too(tmp_path: Path) -> None:
     vehicle = ("--autopilot", "px4", "--fault", "drift=#1,#3", "--speedup", "20")
-    arguments = (*vehicle, "--output", str(tmp_path), "--json")
-    done = panoexec("dry-run", *SMALL, *TOLERANCE, *arguments)
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
+    summary = flown(*SMALL, *TOLERANCE, *vehicle, "--output", str(tmp_path))
     assert summary["vehicle"]["autopilot"] == "px4"
     manifest = manifest_of(summary)
     attempts = [attempt for shot in manifest["shots"] for attempt in shot["attempts"]]
@@ -176,24 +149,13 @@ def test_a_vehicle_on_a_port_in_use_is_one_line_and_leaves_nothing(
 def test_a_truncated_plan_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
     path.write_text('{"shots": [{"pitch_deg": 0, "ya', encoding="utf-8")
-    done = panoexec("dry-run", "--plan", str(path))
+    done = dry_run("--plan", str(path))
     assert done.returncode == 2
     assert "not valid JSON (truncated?)" in done.stderr
 
 
 def test_an_interrupted_mission_ends_130_leaves_no_process_and_is_resumed(tmp_path: Path) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "panoexec",
-        "dry-run",
-        *SMALL,
-        *TOLERANCE,
-        "--output",
-        str(tmp_path),
-        "--speedup",
-        "2",
-    ]
+    command = [*DRY_RUN, *SMALL, *TOLERANCE, "--output", str(tmp_path), "--speedup", "2"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         assert process.stderr is not None
         for line in process.stderr:
@@ -208,11 +170,9 @@ def test_an_interrupted_mission_ends_130_leaves_no_process_and_is_resumed(tmp_pa
         os.killpg(group, 0)
     (mission,) = (tmp_path / "missions").iterdir()
     assert "paused" in (mission / "report.html").read_text(encoding="utf-8")
-    done = panoexec("dry-run", "--resume", str(mission), "--json")
-    assert done.returncode == 0, done.stderr
-    manifest = manifest_of(json.loads(done.stdout))
+    manifest = manifest_of(flown("--resume", str(mission)))
     assert manifest["state"] == "complete"
     assert_accepted_within_tolerance(manifest)
-    again = panoexec("dry-run", "--resume", str(mission))
+    again = dry_run("--resume", str(mission))
     assert again.returncode == 2
     assert "complete" in again.stderr

@@ -10,26 +10,15 @@ import pytest
 
 from panoexec.cli.app import run
 from panoexec.experiment import running
-from panoexec.optics import Camera
-from panoexec.planning.model import Band, Constraints, Plan, Shot
+from panoexec.planning.model import Constraints, Plan, Shot
 from panoexec.planning.published import PAPER_TOLERANCE
 from panoexec.sim.scene import procedural_scene
-from tests.missions import ring_poses
+from tests.missions import BAND, CAMERA, ring_poses
 
 pytestmark = pytest.mark.skipif(
     shutil.which("nona") is None or shutil.which("cpfind") is None,
     reason="Hugin's tools are not installed: apt-get install hugin-tools",
 )
-
-CAMERA = Camera(
-    name="test",
-    sensor_width_mm=16.0,
-    sensor_height_mm=12.0,
-    image_width_px=4000,
-    image_height_px=3000,
-    focal_length_mm=9.0,
-)
-BAND = Band(elevation_min_deg=-90, elevation_max_deg=-4)
 
 
 def a_plan(scenario: int, plan: str) -> Plan:

@@ -11,7 +11,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,19 +20,21 @@ import pytest
 
 from panoexec.sim.config import AirframeConfig
 from panoexec.sitl.autopilot import BINARY_VARIABLE, free_udp_ports, sitl_binary
+from tests.system.dry_runs import DRY_RUN, accepted, dry_run, flown
 
 SPEEDUP = "5"
 MISSION = ("--method", "paper", "--wind", "8", "--speedup", SPEEDUP, "--image-width", "200")
 WHOLE = ("--camera", "dji-x5s-15mm", "--overlap", "0.15", "--elevation", "-90", "30")
 SMALL = ("--elevation", "-20", "20", "--azimuth", "-40", "40")
+LONG_S = 400.0
 
 pytestmark = pytest.mark.skipif(
     not os.environ.get(BINARY_VARIABLE), reason=f"set {BINARY_VARIABLE} to an ArduCopter SITL binary to run it"
 )
 
 
-def command(*arguments: str, output: Path) -> list[str]:
-    return [sys.executable, "-m", "panoexec", "dry-run", *MISSION, *arguments, "--output", str(output), "--json"]
+def mission(*arguments: str, output: Path) -> list[str]:
+    return [*MISSION, *arguments, "--output", str(output)]
 
 
 def children_of(pid: int) -> set[int]:
@@ -74,7 +75,7 @@ def assert_none_left(pids: set[int], *, within_s: float) -> None:
 def in_the_middle(tmp_path: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[str], set[int]]]:
     """A mission on SITL that has taken its second photo, and everything that it started."""
     with subprocess.Popen(
-        command(*WHOLE, *arguments, output=tmp_path),
+        [*DRY_RUN, *mission(*WHOLE, *arguments, output=tmp_path), "--json"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -99,12 +100,7 @@ def manifest_in(folder: Path) -> dict[str, Any]:
 
 
 def test_a_whole_panorama_in_wind_and_back_on_the_ground(tmp_path: Path) -> None:
-    done = subprocess.run(
-        command("--sitl", *WHOLE, output=tmp_path), capture_output=True, text=True, timeout=400, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
-    assert (summary["state"], summary["missing"]) == ("complete", [])
+    summary = flown(*mission("--sitl", *WHOLE, output=tmp_path), timeout_s=LONG_S)
     assert summary["uncovered_fraction"] == 0
     assert summary["vehicle"]["landed"] is True
     assert summary["vehicle"]["autopilot_version"].startswith("4.")
@@ -113,8 +109,7 @@ def test_a_whole_panorama_in_wind_and_back_on_the_ground(tmp_path: Path) -> None
     assert sum(summary["evidence"].values()) == summary["shots"]
     manifest = manifest_in(tmp_path)
     home = AirframeConfig()
-    for shot in manifest["shots"]:
-        attempt = next(a for a in shot["attempts"] if a["number"] == shot["accepted_attempt"])
+    for shot, attempt in zip(manifest["shots"], accepted(manifest), strict=True):
         assert abs(attempt["error_deg"]["pitch"]) <= 0.1
         assert abs(attempt["error_deg"]["roll"]) <= 0.1
         assert abs(attempt["error_deg"]["yaw"]) <= 0.7
@@ -129,43 +124,23 @@ def test_a_two_axis_gimbal_is_panned_by_the_vehicle(tmp_path: Path) -> None:
     # in 8 m/s the simulated airframe shakes at some headings more than any photo bears (docs/mission.md)
     calm = ("--wind", "4")
     arguments = ("--sitl", "--yaw", "vehicle", *calm, "--elevation", "-60", "10", "--azimuth", "-90", "90")
-    done = subprocess.run(
-        command(*arguments, output=tmp_path), capture_output=True, text=True, timeout=400, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
-    assert (summary["state"], summary["missing"]) == ("complete", [])
-    shots = manifest_in(tmp_path)["shots"]
-    assert summary["turns"] >= len({round(shot["target"]["yaw_deg"], 1) for shot in shots}) - 1
-    for shot in shots:
-        attempt = next(a for a in shot["attempts"] if a["number"] == shot["accepted_attempt"])
+    summary = flown(*mission(*arguments, output=tmp_path), timeout_s=LONG_S)
+    manifest = manifest_in(tmp_path)
+    assert summary["turns"] >= len({round(shot["target"]["yaw_deg"], 1) for shot in manifest["shots"]}) - 1
+    for attempt in accepted(manifest):
         assert abs(attempt["error_deg"]["pitch"]) <= 0.1
         assert abs(attempt["error_deg"]["yaw"]) <= 2.0
 
 
 def test_the_vehicle_turns_where_a_gimbal_with_stops_does_not_reach(tmp_path: Path) -> None:
     arguments = ("--sitl", "--yaw", "auto", "--gimbal-pan", "-40", "40", "--elevation", "-20", "20")
-    done = subprocess.run(
-        command(*arguments, output=tmp_path), capture_output=True, text=True, timeout=400, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
-    assert (summary["state"], summary["missing"]) == ("complete", [])
+    summary = flown(*mission(*arguments, output=tmp_path), timeout_s=LONG_S)
     assert summary["turns"] >= 4
     assert abs(summary["worst"]["yaw_deg"]) <= 0.7
 
 
 def test_a_camera_on_a_servo_is_proven_by_its_count(tmp_path: Path) -> None:
-    done = subprocess.run(
-        command("--sitl", "--trigger", "servo", *SMALL, output=tmp_path),
-        capture_output=True,
-        text=True,
-        timeout=400,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
-    assert (summary["state"], summary["missing"]) == ("complete", [])
+    summary = flown(*mission("--sitl", "--trigger", "servo", *SMALL, output=tmp_path), timeout_s=LONG_S)
     assert summary["evidence"] == {"counted": summary["shots"]}
     # the payload exposes when the autopilot says that it has triggered; not every attempt comes to that
     assert summary["shots"] <= summary["photos"] <= summary["attempts"]
@@ -177,19 +152,10 @@ def test_ctrl_c_ends_everything_and_the_mission_goes_on_later(tmp_path: Path) ->
         assert process.wait(60) == 130
         assert_none_left(children, within_s=0.0)
     assert list(tmp_path.glob("panoexec-sitl-*")) == []
-    (mission,) = tmp_path.glob("missions/*")
+    (left,) = tmp_path.glob("missions/*")
     taken = sum(shot["status"] == "accepted" for shot in manifest_in(tmp_path)["shots"])
     assert taken >= 1
-    done = subprocess.run(
-        [sys.executable, "-m", "panoexec", "dry-run", "--resume", str(mission), "--json"],
-        capture_output=True,
-        text=True,
-        timeout=400,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
-    assert (summary["state"], summary["missing"]) == ("complete", [])
+    summary = flown("--resume", str(left), timeout_s=LONG_S)
     assert summary["vehicle"]["landed"] is True
 
 
@@ -229,9 +195,7 @@ def test_a_vehicle_that_runs_already_is_neither_armed_nor_flown_nor_ended(tmp_pa
     ) as sitl:
         try:
             connect = ("--sitl-connect", f"tcp:127.0.0.1:{ground_port}", "--attach", f"tcp:127.0.0.1:{payload_port}")
-            done = subprocess.run(
-                command(*connect, *SMALL, output=tmp_path), capture_output=True, text=True, timeout=200, check=False
-            )
+            done = dry_run(*mission(*connect, *SMALL, output=tmp_path), "--json", timeout_s=LONG_S)
             assert done.returncode == 0, done.stderr
             assert "stands on the ground" in done.stderr
             summary = json.loads(done.stdout)

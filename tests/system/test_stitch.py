@@ -16,30 +16,18 @@ from panoexec.cli import app
 from panoexec.errors import UsageError
 from panoexec.exports import export_set, write_exports
 from panoexec.manifest import read_manifest
-from panoexec.optics import Camera
-from panoexec.planning.model import Band
 from panoexec.pto import parse_pto
 from panoexec.sim.scene import procedural_scene
 from panoexec.stitching import rendering
 from panoexec.stitching.canvas import Block
 from panoexec.stitching.tiff import TiledTiff
-from tests.missions import ring_poses, write_mission
+from tests.missions import BAND, CAMERA, ring_poses, write_mission
 
 pytestmark = pytest.mark.skipif(
     shutil.which("nona") is None or shutil.which("cpfind") is None,
     reason="Hugin's tools are not installed: apt-get install hugin-tools",
 )
 
-CAMERA = Camera(
-    name="test",
-    sensor_width_mm=16.0,
-    sensor_height_mm=12.0,
-    image_width_px=4000,
-    image_height_px=3000,
-    focal_length_mm=9.0,
-)
-"""83° x 67°: few images for a fast test."""
-BAND = Band(elevation_min_deg=-90, elevation_max_deg=-4)
 POSES = ring_poses([(-90.0, 1), (-35.0, 6)])
 WIDTH = 420
 

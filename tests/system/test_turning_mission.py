@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,50 +10,24 @@ import numpy as np
 
 from panoexec.angles import rotation_from_quaternion, wrap_180
 from panoexec.planning.pose_error import pose_error
+from tests.system.dry_runs import accepted, flown, manifest_of
 
 QUICK = ("--speedup", "10")
 POSES = ((-10.0, 0.0), (-10.0, 40.0), (-45.0, 40.0))
 
 
-def flown(output: Path, *arguments: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Summary and manifest; the mission must have been complete."""
+def turned(output: Path, *arguments: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Summary and manifest of a complete mission over three poses."""
     plan = output / "plan.json"
     shots = [{"pitch_deg": pitch, "yaw_deg": yaw} for pitch, yaw in POSES]
     plan.write_text(json.dumps({"format": "panoexec.plan/1", "shots": shots}), encoding="utf-8")
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "panoexec",
-            "dry-run",
-            "--plan",
-            str(plan),
-            *QUICK,
-            *arguments,
-            "--output",
-            str(output),
-            "--json",
-        ],
-        capture_output=True,
-        text=True,
-        timeout=180,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
-    assert (summary["state"], summary["shots"], summary["missing"]) == ("complete", len(POSES), [])
-    return summary, json.loads((Path(summary["directory"]) / "manifest.json").read_text(encoding="utf-8"))
-
-
-def accepted(manifest: dict[str, Any]) -> list[dict[str, Any]]:
-    return [
-        next(a for a in shot["attempts"] if a["number"] == shot["accepted_attempt"]) | {"target": shot["target"]}
-        for shot in manifest["shots"]
-    ]
+    summary = flown("--plan", str(plan), *QUICK, *arguments, "--output", str(output))
+    assert summary["shots"] == len(POSES)
+    return summary, manifest_of(summary)
 
 
 def test_a_two_axis_gimbal_is_panned_by_the_vehicle_and_the_gate_judges_the_sum(tmp_path: Path) -> None:
-    summary, manifest = flown(tmp_path, "--yaw", "vehicle", "--image-width", "160")
+    summary, manifest = turned(tmp_path, "--yaw", "vehicle", "--image-width", "160")
     truth = (Path(summary["directory"]) / "images" / "truth.jsonl").read_text(encoding="utf-8").splitlines()
     exposures = [event for event in map(json.loads, truth) if event["event"] == "exposure"]
     assert len(exposures) >= len(POSES)
@@ -73,7 +45,7 @@ def test_a_two_axis_gimbal_is_panned_by_the_vehicle_and_the_gate_judges_the_sum(
 
 def test_a_servo_camera_is_proven_by_its_count(tmp_path: Path) -> None:
     """CAMERA_FEEDBACK is all that there is: no camera of its own, no message of a photo."""
-    summary, manifest = flown(tmp_path, "--trigger", "servo", "--no-images")
+    summary, manifest = turned(tmp_path, "--trigger", "servo", "--no-images")
     assert summary["evidence"] == {"counted": summary["shots"]}
     indices = [photo["image_index"] for attempt in accepted(manifest) for photo in attempt["photos"]]
     assert len(set(indices)) == summary["shots"]

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from panoexec.errors import InputFileError, UsageError
-from panoexec.optics import Camera
 from panoexec.planfile import plan_from_data, plan_to_data, read_plan_file, write_plan
 from panoexec.planning.model import (
     AngleBox,
@@ -21,16 +20,8 @@ from panoexec.planning.model import (
     Shot,
     Tolerance,
 )
+from panoexec.planning.published import X5S_15MM
 
-CAMERA = Camera(
-    name="dji-x5s-15mm",
-    sensor_width_mm=17.3,
-    sensor_height_mm=13.0,
-    image_width_px=5280,
-    image_height_px=3956,
-    focal_length_mm=15.0,
-    calibrated_focal_length_mm=14.87,
-)
 CONSTRAINTS = Constraints(
     overlap_h=0.15,
     overlap_v=0.2,
@@ -59,7 +50,7 @@ CERTIFICATE = Certificate(
 def plan(shots: tuple[Shot, ...] | None = None) -> Plan:
     return Plan(
         method="certified",
-        camera=CAMERA,
+        camera=X5S_15MM,
         constraints=CONSTRAINTS,
         shots=shots
         or (Shot(index=0, row=1, pitch_deg=10.0, yaw_deg=-170.0), Shot(index=1, row=0, pitch_deg=-90.0, yaw_deg=0.0)),
@@ -79,7 +70,7 @@ shots_strategy = st.lists(st.tuples(st.floats(-90, 90), angle, st.integers(0, 50
 def test_what_is_written_is_what_is_read(shots: tuple[Shot, ...]) -> None:
     original = plan(shots)
     file = plan_from_data(json.loads(json.dumps(plan_to_data(original))), source="x")
-    assert file.camera == CAMERA
+    assert file.camera == X5S_15MM
     assert file.constraints == CONSTRAINTS
     assert file.shots == shots
 
@@ -107,11 +98,11 @@ def test_a_foreign_file_needs_poses_only() -> None:
     assert [shot.row for shot in file.shots] == [2, 0, 2, 1, 1]
     assert file.shots[0].yaw_deg == -170
     assert (file.method, file.camera, file.constraints) == ("foreign", None, None)
-    assert file.plan(camera=CAMERA, constraints=CONSTRAINTS).method == "foreign"
+    assert file.plan(camera=X5S_15MM, constraints=CONSTRAINTS).method == "foreign"
     with pytest.raises(UsageError, match="names no camera"):
         file.plan()
     with pytest.raises(UsageError, match="no constraints"):
-        file.plan(camera=CAMERA)
+        file.plan(camera=X5S_15MM)
 
 
 def broken(**changes: Any) -> dict[str, Any]:

@@ -3,7 +3,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from panoexec.adapters.serial_ports import SerialPort, find_flight_controller, list_serial_ports
+from panoexec.adapters import serial_ports
+from panoexec.adapters.serial_ports import SerialPort, connection_of, find_flight_controller, list_serial_ports
+from panoexec.config import VehicleSection
 from panoexec.errors import LinkError
 
 PIXHAWK = SerialPort(
@@ -43,6 +45,21 @@ GPS = SerialPort(device="/dev/ttyACM3", vendor_id=0x1546, product_id=0x01A9, pro
 def test_finds_the_flight_controller(ports: list[SerialPort], path: str) -> None:
     url = find_flight_controller(ports, 921_600)
     assert url.mavsdk == f"serial://{path}:921600"
+
+
+@pytest.mark.parametrize(
+    ("section", "url"),
+    [
+        (VehicleSection(serial="auto", baud=57_600), "serial:///dev/ttyACM2:57600"),
+        (VehicleSection(serial="/dev/ttyAMA0", baud=115_200), "serial:///dev/ttyAMA0:115200"),
+        (VehicleSection(connection="udpin://0.0.0.0:14551"), "udpin://0.0.0.0:14551"),
+    ],
+)
+def test_a_configuration_names_the_autopilots_place(
+    monkeypatch: pytest.MonkeyPatch, section: VehicleSection, url: str
+) -> None:
+    monkeypatch.setattr(serial_ports, "list_serial_ports", lambda: [UART, CUBE])
+    assert connection_of(section).mavsdk == url
 
 
 @pytest.mark.parametrize(
