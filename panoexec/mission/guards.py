@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from panoexec.devices import VehicleStatus
-from panoexec.mission.preflight import cannot_turn
+from panoexec.mission.preflight import LEISURELY_S, cannot_turn
 from panoexec.mission.settings import GuardSettings, MissionSettings
 
 EARTH_RADIUS_M = 6_371_000.0
@@ -78,13 +78,17 @@ class LinkGuard:
 
 @dataclass(frozen=True, slots=True)
 class AttitudeGuard:
-    """The attitude stream is silent, so that nothing can be proven."""
+    """The attitude stream is silent, so that nothing can be proven.
+
+    While the gimbal is not held its reports are asked for less often, and `LEISURELY_S` is the least patience.
+    """
 
     silence_s: float
 
     def check(self, situation: Situation) -> Finding | None:
         """See `Guard.check`."""
-        if situation.sample_age_s <= self.silence_s:
+        silence_s = self.silence_s if situation.expects_control else max(self.silence_s, LEISURELY_S)
+        if situation.sample_age_s <= silence_s:
             return None
         age = situation.sample_age_s
         for_how_long = f"for {age:.1f} s" if math.isfinite(age) else "yet"

@@ -16,6 +16,8 @@ from panoexec.pose_reading import GIMBAL_FAILURES
 PILOTS_NAMES = {"OFFBOARD": "OFFBOARD (ArduPilot: GUIDED)", "HOLD": "HOLD (PX4: Hold)"}
 """Flight modes as pilots know them, by MAVSDK's names."""
 
+LEISURELY_S = 2.0
+"""While the gimbal is not held, its reports are looked at twice a second, or come five times: silence is longer."""
 FRESH_FRAC = 0.9
 """A battery with more than this is as full as one is that has just taken off."""
 
@@ -94,7 +96,8 @@ def preflight_problems(
         return ["no heartbeat from the autopilot: check the link"]
     problems = []
     if settings.feedback != "none":
-        problems += attitude_problems(gimbal.feed.latest, now_s=now_s, silence_s=guards.attitude_silence_s)
+        silence_s = max(guards.attitude_silence_s, LEISURELY_S)
+        problems += attitude_problems(gimbal.feed.latest, now_s=now_s, silence_s=silence_s)
     turn = reference_yaw_north_deg - status.heading_deg
     forward = [
         Shot(index=s.index, row=s.row, pitch_deg=s.pitch_deg, yaw_deg=float(wrap_180(s.yaw_deg + turn)))

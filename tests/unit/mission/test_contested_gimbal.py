@@ -80,3 +80,37 @@ def test_a_pilot_who_takes_over_while_the_gimbal_is_being_taken_sees_it_stand_st
         world.gimbal.acquire_s = 2.0
 
     assert fly(script, prepare).record.state is S.COMPLETE
+
+
+def test_a_gimbal_that_is_not_ours_may_report_seldom() -> None:
+    """Its reports are asked for at full rate only while it is held: a short patience must not keep a mission from it."""
+
+    def prepare(world: World) -> None:
+        acquire, release = world.gimbal.acquire, world.gimbal.release
+
+        async def take() -> None:
+            await acquire()
+            world.gimbal.rate_hz = 50.0
+            world.gimbal.report()
+
+        async def give() -> None:
+            await release()
+            world.gimbal.rate_hz = 1.0
+
+        setattr(world.gimbal, "acquire", take)  # noqa: B010
+        setattr(world.gimbal, "release", give)  # noqa: B010
+
+    async def script(world: World, mission: Mission) -> None:
+        await until_event(world, ev.ShotStarted, 2)
+        world.vehicle.change(mode="STABILIZED")
+        await until_event(world, ev.MissionPaused)
+        await world.clock.sleep(3.0)
+        world.vehicle.change(mode="OFFBOARD")
+        await world.clock.sleep(1.45)
+        mission.verbs.resume()
+
+    guards = GuardSettings(attitude_silence_s=0.5, allowed_modes=("OFFBOARD",))
+    world = fly(script, prepare, settings=some_settings(guards=guards))
+    assert world.record.state is S.COMPLETE
+    assert [event.code for event in world.sink.of(ev.MissionPaused)] == ["pilot"]
+    assert len(world.sink.of(ev.ShotRejected)) == 0
