@@ -83,7 +83,7 @@ def test_a_pilot_who_takes_over_while_the_gimbal_is_being_taken_sees_it_stand_st
 
 
 def test_a_gimbal_that_is_not_ours_may_report_seldom() -> None:
-    """Its reports are asked for at full rate only while it is held: a short patience must not keep a mission from it."""
+    """Its reports are asked for at full rate only while it is held: a short patience must not hold a mission."""
 
     def prepare(world: World) -> None:
         acquire, release = world.gimbal.acquire, world.gimbal.release
