@@ -271,6 +271,7 @@ class ShotExposed(ShotEvent):
         trigger_delay_s: from settled to the trigger command on the wire.
         open_loop: there is no attitude feedback; the pose is a belief.
         images_before: how many images the camera counted before the trigger; -1 where that was not known.
+        may_overlap: outside tolerance, but sharp: the overlaps decide.
     """
 
     photos: tuple[Photo, ...]
@@ -283,6 +284,7 @@ class ShotExposed(ShotEvent):
     trigger_delay_s: float
     open_loop: bool = False
     images_before: int = -1
+    may_overlap: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from panoexec import events as ev
 from panoexec.mission.flight import Flight
 from panoexec.mission.waiting import until
-from panoexec.planning.model import Certificate
+from panoexec.planning.model import Certificate, Hole
 from panoexec.states import MissionState
 
 
@@ -49,6 +49,12 @@ class Ending:
         if stop is not None:
             state = MissionState.ABORTED if stop.kind == "abort" else MissionState.FAILED
             reason = stop.reason
+        elif not missing and (hole := self._hole()) is not None:
+            state = MissionState.INCOMPLETE
+            reason = (
+                f"every shot was accepted, but as flown there is a hole of {hole.size_deg:.2g}° at elevation"
+                f" {hole.elevation_deg:.1f}°, azimuth {hole.azimuth_deg:.1f}°"
+            )
         elif not missing:
             state, reason = MissionState.COMPLETE, "every shot was accepted"
         elif certified:
@@ -60,6 +66,13 @@ class Ending:
                 reason += f" ({flight.control.finish})"
         finished = ev.MissionFinished(reason=reason, accepted=record.shots_done, missing=missing, certified=certified)
         flight.recorder.emit(finished, state)
+
+    def _hole(self) -> Hole | None:
+        """The largest hole as flown where the plan has none: drifted shots that counted by their overlaps left it."""
+        planned = self._flight.plan.certificate
+        if self.certificate is None or planned is None or planned.holes or not self.certificate.holes:
+            return None
+        return self.certificate.holes[0]
 
     async def _certify(self) -> None:
         rotations, rows = self._flight.record.measured()

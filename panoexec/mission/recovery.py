@@ -16,6 +16,7 @@ from panoexec.devices import CaptureEvidence, EvidenceLevel, Recollection, Remem
 from panoexec.errors import DeviceError
 from panoexec.mission import evidence
 from panoexec.mission.flight import Flight
+from panoexec.mission.overlap import overlaps_hold
 from panoexec.mission.protocols import PhotoMemory
 from panoexec.mission.record import AttemptRecord, Verdict
 from panoexec.mission.waiting import until, within
@@ -54,7 +55,7 @@ async def settle_open_attempts(flight: Flight) -> None:
         for index, record in sorted(shots.items()):
             unsettled = record.open_attempt
             if unsettled is not None and (unsettled.exposed is not None) is exposed:
-                _settle(flight, index, unsettled, photos)
+                await _settle(flight, index, unsettled, photos)
 
 
 def _anonymous(attempt: AttemptRecord) -> bool:
@@ -75,7 +76,7 @@ async def _recall(flight: Flight) -> Recollection:
     return Recollection()
 
 
-def _settle(flight: Flight, index: int, attempt: AttemptRecord, remembered: _Photos) -> None:
+async def _settle(flight: Flight, index: int, attempt: AttemptRecord, remembered: _Photos) -> None:
     exposed, settings = attempt.exposed, flight.settings
     if exposed is None:
         photos = remembered.since(attempt.started_utc_s)
@@ -89,8 +90,12 @@ def _settle(flight: Flight, index: int, attempt: AttemptRecord, remembered: _Pho
             counted = CaptureEvidence(level=EvidenceLevel.COUNTED, received_s=math.nan)
             photos = (evidence.with_evidence(photos[0], counted),)
         proven = evidence.weakest(photos) >= settings.min_evidence
-        if exposed.pointing_ok and len(photos) == settings.brackets and proven:
+        by = ""
+        if exposed.pointing_ok:
             by = "open_loop" if exposed.open_loop else "tolerance"
+        elif exposed.may_overlap and proven and await overlaps_hold(flight, index, exposed.measured):
+            by = "overlap"
+        if by and len(photos) == settings.brackets and proven:
             flight.recorder.emit(ev.ShotAccepted(shot=index, attempt=attempt.number, photos=photos, by=by))
             flight.queue.drop(index)
             return

@@ -14,6 +14,7 @@ from panoexec.mission import evidence
 from panoexec.mission.attempt import Exposure, NotSettled, Settled, Shooter
 from panoexec.mission.flight import Flight
 from panoexec.mission.holding import Holding
+from panoexec.mission.overlap import overlaps_hold
 from panoexec.mission.shot_queue import Decision, Task
 from panoexec.mission.waiting import until
 from panoexec.pointing import WindowVerdict
@@ -111,6 +112,7 @@ class Shooting:
         self._exposed(shot.index, number, result, exposure)
 
     def _exposed(self, shot: int, number: int, settled: Settled, exposure: Exposure) -> None:
+        may_overlap = not exposure.failure and not exposure.broken_off and self._may_overlap(exposure.verdict)
         verdict, photos = exposure.verdict, evidence.first_photos(exposure.trigger_utc_s, exposure.captures)
         exposed = ev.ShotExposed(
             shot=shot,
@@ -125,6 +127,7 @@ class Shooting:
             trigger_delay_s=exposure.trigger_delay_s,
             open_loop=self.shooter.open_loop,
             images_before=exposure.images_before,
+            may_overlap=may_overlap,
         )
         self._keep(exposed)
         if exposure.broken_off:
@@ -132,7 +135,7 @@ class Shooting:
             self._group.create_task(self._identify(shot, number, photos, exposure.captures), name=f"photo of {shot}")
             return
         by = "open_loop" if self.shooter.open_loop else "tolerance" if verdict.ok else "overlap"
-        if not exposure.failure and (verdict.ok or self._may_overlap(verdict)):
+        if not exposure.failure and (verdict.ok or may_overlap):
             self._outstanding += 1
             proof = self._prove(shot, number, photos, exposure.captures, by=by, verdict=verdict)
             self._group.create_task(proof, name=f"evidence of {shot}")
@@ -146,14 +149,6 @@ class Shooting:
         settings = self._flight.settings
         sharp = verdict.spread_deg <= settings.max_rate_deg_s * settings.exposure_bound_s
         return settings.accept == "overlap" and verdict.code == "pointing" and sharp
-
-    async def _overlaps(self, shot: int, verdict: WindowVerdict) -> bool:
-        """Whether the certificate holds with this pose as measured, if all that is to come goes as planned."""
-        record = self._flight.record
-        if verdict.measured is None:
-            return False
-        rotations, rows = record.measured(also=[*record.wanted(), (shot, verdict.measured)])
-        return (await self._flight.verifier.certify(rotations, rows)).certified
 
     async def _prove(
         self,
@@ -178,7 +173,7 @@ class Shooting:
                     f" {settings.min_evidence.name.lower()} is asked for"
                 )
                 self._reject(shot, number, "evidence", reason, proven)
-            elif by == "overlap" and not await self._overlaps(shot, verdict):
+            elif by == "overlap" and not await overlaps_hold(self._flight, shot, verdict.measured):
                 reason = f"{verdict.reason}, and the overlaps would not hold with it"
                 self._reject(shot, number, verdict.code, reason, proven)
             else:

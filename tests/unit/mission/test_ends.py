@@ -14,14 +14,15 @@ from panoexec import events as ev
 from panoexec.errors import MissionError
 from panoexec.mission.executor import Mission
 from panoexec.mission.record import MissionRecord
-from panoexec.planning.model import GimbalLimits
+from panoexec.planning.model import GimbalLimits, Hole
 from panoexec.states import MissionState
 from tests.unit.fakes.checks import check_mission
 from tests.unit.fakes.flying import drift_at, fly, until_event
 from tests.unit.fakes.virtual import run_virtual
-from tests.unit.fakes.world import World, a_world, some_settings
+from tests.unit.fakes.world import World, a_certificate, a_plan, a_world, some_settings
 
 S = MissionState
+HOLE = Hole(elevation_deg=-70.0, azimuth_deg=10.0, size_deg=2.0)
 
 
 def test_an_interrupted_mission_can_be_resumed_and_the_photo_counts_stay_right() -> None:
@@ -215,3 +216,23 @@ def test_settings_that_make_no_sense_are_refused() -> None:
     ):
         with pytest.raises(Exception, match=text):
             some_settings(**change)
+
+
+@pytest.mark.parametrize(("planned_holes", "state"), [((), S.INCOMPLETE), ((HOLE,), S.COMPLETE), (None, S.COMPLETE)])
+def test_a_hole_that_drifted_shots_left_is_not_called_complete(
+    planned_holes: tuple[Hole, ...] | None, state: MissionState
+) -> None:
+    """Each counted while the others were to come as planned; no patch closes what they leave together."""
+
+    def prepare(world: World) -> None:
+        world.verifier.needed, world.verifier.holes = 5, (HOLE,)
+
+    plan = a_plan()
+    if planned_holes is not None:
+        certificate = a_certificate(certified=not planned_holes, images=4)
+        plan = replace(plan, certificate=replace(certificate, holes=planned_holes))
+    world = fly(prepare=prepare, plan=plan)
+    assert world.record.state is state
+    assert not world.record.missing()
+    if state is S.INCOMPLETE:
+        assert "as flown there is a hole of 2° at elevation -70.0°, azimuth 10.0°" in world.record.reason

@@ -185,22 +185,42 @@ def test_a_remembered_photo_of_less_proof_than_asked_for_does_not_count() -> Non
     assert two.record.state is S.INCOMPLETE
 
 
-def test_a_photo_out_of_tolerance_never_counts_however_well_the_camera_remembers() -> None:
-    """With `accept = overlap` it waits for its proof before its verdict: the certificate is not on disk."""
-
+@pytest.mark.parametrize("holds", [True, False])
+def test_a_photo_out_of_tolerance_counts_if_the_overlaps_hold_with_it(holds: bool) -> None:
     def prepare(world: World) -> None:
         a_camera(remembers=True)(world)
+        world.verifier.needed = 4 if holds else 5
         world.gimbal.drift = lambda at_s: (
             0.0,
             0.3 if world.camera.photos and at_s - world.camera.photos[-1].triggered_s < 0.3 else 0.0,
             0.0,
         )
 
-    two = killed_when(exposed(1), prepare, accept="overlap", max_rate_deg_s=8.0)
+    two = killed_when(exposed(1), prepare, accept="overlap", max_rate_deg_s=8.0, attempts=1, rounds=1)
     first = two.record.shots[0].attempts[0]
-    assert (first.verdict, first.code) == (Verdict.REJECTED, "crash")
-    assert "off by" in first.reason
-    assert first.photos[0].image_index == 0  # filed all the same
+    assert first.photos[0].image_index == 0  # filed in any case
+    if holds:
+        assert (first.verdict, first.by) == (Verdict.ACCEPTED, "overlap")
+        assert len(two.record.shots[0].attempts) == 1
+    else:
+        assert (first.verdict, first.code) == (Verdict.REJECTED, "crash")
+        assert "off by" in first.reason
+
+
+def test_a_blurred_photo_never_counts_however_well_the_camera_remembers() -> None:
+    def prepare(world: World) -> None:
+        a_camera(remembers=True)(world)
+        world.gimbal.drift = lambda at_s: (
+            0.0,
+            3.0 if world.camera.photos and at_s - world.camera.photos[-1].triggered_s < 0.3 else 0.0,
+            0.0,
+        )
+
+    def taken(world: World) -> bool:
+        return len(world.camera.photos) == 1 and exposed(1)(world)
+
+    two = killed_when(taken, prepare, accept="overlap", attempts=1, rounds=1)
+    assert two.record.shots[0].accepted is None
 
 
 def test_brackets_count_when_each_photo_is_remembered() -> None:
