@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from panoexec.mqtt.messages import MAX_PAYLOAD, REQUESTS, RefusedRequestError, parse_request
+from panoexec.mqtt.requests import MAX_PAYLOAD, REQUESTS, RefusedRequestError, parse_request
 
 WHOLE: dict[str, Any] = {
     "camera": "dji-x5s-15mm",

@@ -26,7 +26,7 @@ from panoexec.cli.planning_options import positive
 from panoexec.config import MqttSection
 from panoexec.errors import UsageError
 from panoexec.mqtt.ground import GroundStation
-from panoexec.mqtt.messages import REQUESTS
+from panoexec.mqtt.requests import REQUESTS
 
 INTERMIXED = True
 _WRONG = frozenset({"too_large", "not_json", "unknown_command", "invalid", "conflict", "planning"})

@@ -13,7 +13,7 @@ from panoexec.doctor.advice import advise
 from panoexec.doctor.findings import Findings
 from panoexec.errors import DeviceError, PanoexecError
 from panoexec.mission.preflight import attitude_problems, limit_problems, limits_that_hold
-from panoexec.mqtt.messages import PlanRequest
+from panoexec.mqtt.requests import PlanRequest
 from panoexec.planning.model import GimbalLimits
 from panoexec.service.wishes import gimbal_limits, wish_of
 

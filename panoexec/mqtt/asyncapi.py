@@ -15,7 +15,8 @@ from pydantic import BaseModel
 from panoexec import __version__
 from panoexec.events import EVENT_TYPES, Event
 from panoexec.files import write_atomically
-from panoexec.mqtt.messages import MAX_PAYLOAD, REQUESTS, Response, State
+from panoexec.mqtt.messages import Response, State
+from panoexec.mqtt.requests import MAX_PAYLOAD, REQUESTS
 from panoexec.mqtt.schemas import answer_schemas, part_schemas, plan_schema, schema_of_dataclass
 
 _SCHEMAS: Final = "#/components/schemas/"

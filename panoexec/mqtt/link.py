@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import math
 import random
 import time
 from collections.abc import AsyncIterator, Callable
-from dataclasses import dataclass
 from typing import Final
 
 import aiomqtt
@@ -25,8 +23,9 @@ from panoexec.config import MqttSection
 from panoexec.errors import PanoexecError
 from panoexec.mqtt.certificates import explained
 from panoexec.mqtt.client import CONNECT_S, broker_client
-from panoexec.mqtt.messages import MAX_PAYLOAD
+from panoexec.mqtt.incoming import Inbox, Incoming, incoming_of
 from panoexec.mqtt.outbox import Outbox, Outgoing
+from panoexec.mqtt.topics import Topics
 
 ONLINE: Final = b"online"
 OFFLINE: Final = b"offline"
@@ -44,58 +43,6 @@ _SUSPICIOUS: Final = 2
 _REFUSED: Final = 128
 
 _log = structlog.get_logger(__name__)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Incoming:
-    """A request as it arrived.
-
-    Attributes:
-        command: the part of its topic after `request/`.
-        payload: bytes; empty if there were more than `MAX_PAYLOAD`.
-        size: of the payload as sent.
-        retained: the broker had kept it, or was asked to.
-        response_topic: where the answer is wanted besides; "" for nowhere.
-        correlation: to be sent back with it.
-        received_s: time.monotonic at its arrival.
-        expires_s: when it must not be obeyed any more; infinity without an expiry.
-    """
-
-    command: str
-    payload: bytes
-    size: int
-    retained: bool = False
-    response_topic: str = ""
-    correlation: bytes | None = None
-    received_s: float = 0.0
-    expires_s: float = math.inf
-
-
-class Topics:
-    """The topics of one vehicle."""
-
-    def __init__(self, prefix: str, vehicle: str) -> None:
-        self.base = f"{prefix}/{vehicle}"
-        self.status = f"{self.base}/status"
-        self.state = f"{self.base}/state"
-        self.plan = f"{self.base}/plan"
-        self.event = f"{self.base}/event"
-        self.requests = f"{self.base}/request/#"
-
-    def request(self, command: str) -> str:
-        """Where a command is asked for."""
-        return f"{self.base}/request/{command}"
-
-    def response(self, command: str) -> str:
-        """Where it is answered."""
-        return f"{self.base}/response/{command}"
-
-    def may_answer_at(self, topic: str) -> bool:
-        """Whether a requester may choose this topic for an answer: below ours, and none that means something else."""
-        if not topic.startswith(f"{self.base}/") or any(char in topic for char in "+#\0"):
-            return False
-        first = topic.removeprefix(f"{self.base}/").partition("/")[0]
-        return first not in {"status", "state", "plan", "event", "request", ""}
 
 
 class MqttLink:
@@ -250,7 +197,7 @@ class MqttLink:
 
     async def _read(self, client: aiomqtt.Client) -> None:
         async for message in client.messages:
-            incoming = self._incoming(message)
+            incoming = incoming_of(message, self.topics)
             if incoming is not None:
                 self._on_request(incoming)
 
@@ -308,7 +255,7 @@ class MqttLink:
             clean_start=self._times == 0 if self._five else 3,
             clean_session=None if self._five else True,
             will=aiomqtt.Will(self.topics.status, OFFLINE, qos=1, retain=True),
-            queue_type=_Inbox,
+            queue_type=Inbox,
             max_queued_incoming_messages=_INCOMING,
             max_inflight_messages=_BATCH + 4,
         )
@@ -335,28 +282,6 @@ class MqttLink:
             properties.CorrelationData = message.correlation
         return properties
 
-    def _incoming(self, message: aiomqtt.Message) -> Incoming | None:
-        payload = message.payload if isinstance(message.payload, bytes) else b""
-        retained = bool(message.retain)
-        size = len(payload)
-        if isinstance(message, _Cut):
-            size = message.size
-        if retained and not size:
-            return None  # somebody clears a retained request
-        properties = message.properties
-        now = time.monotonic()
-        expiry = getattr(properties, "MessageExpiryInterval", None)
-        return Incoming(
-            command=str(message.topic).removeprefix(f"{self.topics.base}/request/"),
-            payload=payload,
-            size=size,
-            retained=retained,
-            response_topic=str(getattr(properties, "ResponseTopic", "") or ""),
-            correlation=getattr(properties, "CorrelationData", None),
-            received_s=now,
-            expires_s=math.inf if expiry is None else now + float(expiry),
-        )
-
     def _lost(self, error: Exception) -> None:
         text = explained(str(error) or type(error).__name__, self._settings)
         if self._short >= _SUSPICIOUS:
@@ -365,24 +290,6 @@ class MqttLink:
         if text != self._said:
             _log.warning("no broker", host=self._settings.host, port=self._settings.port, error=text)
         self._said = text
-
-
-class _Cut(aiomqtt.Message):
-    """A message whose payload was thrown away for its size."""
-
-    size: int = 0
-
-
-class _Inbox(asyncio.Queue[aiomqtt.Message]):
-    """Keeps no payload that is too large to be read, so that a flood of them cannot fill the memory."""
-
-    def _put(self, item: aiomqtt.Message) -> None:
-        payload = item.payload
-        if isinstance(payload, bytes) and len(payload) > MAX_PAYLOAD:
-            cut = _Cut(item.topic, b"", item.qos, item.retain, item.mid, item.properties)
-            cut.size = len(payload)
-            item = cut
-        super()._put(item)
 
 
 def _with_reason(client: aiomqtt.Client, error: aiomqtt.MqttError) -> aiomqtt.MqttError:

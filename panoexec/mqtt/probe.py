@@ -13,7 +13,7 @@ from panoexec.config import MqttSection
 from panoexec.errors import LinkError
 from panoexec.mqtt.certificates import explained
 from panoexec.mqtt.client import CONNECT_S, broker_client
-from panoexec.mqtt.link import Topics
+from panoexec.mqtt.topics import Topics
 
 _REFUSED: Final = 128
 

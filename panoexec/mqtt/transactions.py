@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Final, Literal, Self, TypeAlias, TypeVar
 
 from panoexec.errors import UsageError
-from panoexec.mqtt.messages import RefusedRequestError, Request
+from panoexec.mqtt.requests import RefusedRequestError, Request
 
 T = TypeVar("T")
 Standing: TypeAlias = Literal["new", "under way", "interrupted", "answered"]

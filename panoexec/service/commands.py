@@ -17,8 +17,9 @@ from panoexec.errors import PanoexecError, PlanningError, UsageError
 from panoexec.mission.control import CommandRefusedError
 from panoexec.mission.executor import Mission
 from panoexec.mission_session import Devices
-from panoexec.mqtt.link import Incoming
-from panoexec.mqtt.messages import (
+from panoexec.mqtt.incoming import Incoming
+from panoexec.mqtt.messages import Response, dump, failed, ok
+from panoexec.mqtt.requests import (
     AbortRequest,
     FinishRequest,
     PauseRequest,
@@ -26,14 +27,10 @@ from panoexec.mqtt.messages import (
     RefusedRequestError,
     RepeatRequest,
     Request,
-    Response,
     ResumeRequest,
     SetProfileRequest,
     SkipRequest,
     StartRequest,
-    dump,
-    failed,
-    ok,
     parse_request,
 )
 from panoexec.mqtt.transactions import Noted, Transactions

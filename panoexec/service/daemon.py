@@ -19,8 +19,10 @@ from panoexec.errors import PanoexecError
 from panoexec.events import Event
 from panoexec.logs import configure_logs
 from panoexec.mission.standing import standings_text
-from panoexec.mqtt.link import Incoming, MqttLink
-from panoexec.mqtt.messages import RefusedRequestError, State, dump, dump_json
+from panoexec.mqtt.incoming import Incoming
+from panoexec.mqtt.link import MqttLink
+from panoexec.mqtt.messages import State, dump, dump_json
+from panoexec.mqtt.requests import RefusedRequestError
 from panoexec.mqtt.transactions import Transactions
 from panoexec.planfile import plan_to_data
 from panoexec.planning.model import Plan

@@ -29,7 +29,7 @@ from panoexec.mission_session import (
     create_mission,
     open_mission,
 )
-from panoexec.mqtt.messages import RefusedRequestError
+from panoexec.mqtt.requests import RefusedRequestError
 from panoexec.planning.model import Plan
 from panoexec.service.storage import storage_trouble
 from panoexec.states import ENDED, MissionState

@@ -13,7 +13,7 @@ from panoexec.devices import EvidenceLevel
 from panoexec.errors import InputFileError, UsageError
 from panoexec.mission.settings import GuardSettings, MissionSettings
 from panoexec.mqtt.credentials import credential_problems
-from panoexec.mqtt.messages import PlanRequest, RefusedRequestError
+from panoexec.mqtt.requests import PlanRequest, RefusedRequestError
 from panoexec.planfile import PlanFile, plan_from_data
 from panoexec.planning.job import Job
 from panoexec.planning.model import Band, Constraints, GimbalLimits, Plan, Timing, Tolerance, Turning

@@ -16,7 +16,8 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from panoexec.config import MqttSection
-from panoexec.mqtt.link import Incoming, MqttLink, running
+from panoexec.mqtt.incoming import Incoming
+from panoexec.mqtt.link import MqttLink, running
 from tests.wire.broker import Broker, eventually, needs_mosquitto, running_broker
 
 pytestmark = needs_mosquitto

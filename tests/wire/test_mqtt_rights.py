@@ -19,7 +19,8 @@ from panoexec.doctor.findings import Findings
 from panoexec.errors import LinkError
 from panoexec.mqtt.credentials import credential_problems
 from panoexec.mqtt.ground import GroundStation
-from panoexec.mqtt.link import Incoming, MqttLink, running
+from panoexec.mqtt.incoming import Incoming
+from panoexec.mqtt.link import MqttLink, running
 from panoexec.mqtt.probe import probe_broker
 from tests.wire.broker import PATH, Broker, eventually, needs_mosquitto, running_broker
 

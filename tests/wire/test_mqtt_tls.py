@@ -17,7 +17,8 @@ from panoexec.doctor.findings import Findings
 from panoexec.errors import LinkError, UsageError
 from panoexec.mqtt.certificates import certificate_validity, explained
 from panoexec.mqtt.ground import GroundStation
-from panoexec.mqtt.link import Incoming, MqttLink, running
+from panoexec.mqtt.incoming import Incoming
+from panoexec.mqtt.link import MqttLink, running
 from tests.wire.broker import PATH, Broker, eventually, free_tcp_port, needs_mosquitto, running_broker
 from tests.wire.certificates import Authority, Issued, needs_openssl
 

@@ -12,7 +12,8 @@ from panoexec.camera_profiles import load_profile
 from panoexec.devices import EvidenceLevel
 from panoexec.events import EVENT_TYPES, MissionFinished, MissionStarted, Photo, ShotAccepted
 from panoexec.mqtt.asyncapi import text
-from panoexec.mqtt.messages import REQUESTS, RefusedRequestError, failed, ok
+from panoexec.mqtt.messages import failed, ok
+from panoexec.mqtt.requests import REQUESTS, RefusedRequestError
 from panoexec.planfile import camera_to_data
 from panoexec.states import MissionState
 from tests.schemas import DOCUMENT, misfits, named, problems

@@ -10,8 +10,8 @@ import pytest
 
 from panoexec.errors import UsageError
 from panoexec.mqtt import transactions
-from panoexec.mqtt.messages import RefusedRequestError, Request, parse_request
 from panoexec.mqtt.outbox import Outbox, Outgoing
+from panoexec.mqtt.requests import RefusedRequestError, Request, parse_request
 from panoexec.mqtt.transactions import StorageDownError, Transactions
 
 

@@ -16,8 +16,8 @@ import pytest
 from panoexec.clock import SystemClock
 from panoexec.config import Config
 from panoexec.errors import DeviceError
-from panoexec.mqtt.link import Incoming
-from panoexec.mqtt.messages import parse_request
+from panoexec.mqtt.incoming import Incoming
+from panoexec.mqtt.requests import parse_request
 from panoexec.mqtt.transactions import Transactions
 from panoexec.service.commands import MAX_UNDER_WAY, Commands
 from panoexec.service.missions import Missions

@@ -12,7 +12,7 @@ import pytest
 
 from panoexec.config import Config
 from panoexec.errors import PanoexecError, PlanningError
-from panoexec.mqtt.messages import PlanRequest
+from panoexec.mqtt.requests import PlanRequest
 from panoexec.planning.job import Job, outcome_of
 from panoexec.service import planner
 from panoexec.service.planner import plan_apart

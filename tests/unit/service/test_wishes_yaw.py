@@ -9,7 +9,7 @@ import pytest
 
 from panoexec.config import Config
 from panoexec.mission.preflight import limits_that_hold
-from panoexec.mqtt.messages import PlanRequest
+from panoexec.mqtt.requests import PlanRequest
 from panoexec.planning.model import GimbalLimits, Turning
 from panoexec.service.wishes import configuration_problems, gimbal_limits, settings_of, wish_of
 

@@ -9,17 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from panoexec.mqtt.messages import (
-    MAX_PAYLOAD,
-    REQUESTS,
-    PlanRequest,
-    RefusedRequestError,
-    Response,
-    SkipRequest,
-    dump,
-    failed,
-    parse_request,
-)
+from panoexec.mqtt.messages import Response, dump, failed
+from panoexec.mqtt.requests import MAX_PAYLOAD, REQUESTS, PlanRequest, RefusedRequestError, SkipRequest, parse_request
 
 
 def refused(command: str, payload: bytes | dict[str, Any], **options: Any) -> RefusedRequestError:

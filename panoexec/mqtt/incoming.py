@@ -1,0 +1,80 @@
+"""Requests as they arrive from a broker: size, age, flags and where the answer is wanted."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from dataclasses import dataclass
+
+import aiomqtt
+
+from panoexec.mqtt.requests import MAX_PAYLOAD
+from panoexec.mqtt.topics import Topics
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Incoming:
+    """A request as it arrived.
+
+    Attributes:
+        command: the part of its topic after `request/`.
+        payload: bytes; empty if there were more than `MAX_PAYLOAD`.
+        size: of the payload as sent.
+        retained: the broker had kept it, or was asked to.
+        response_topic: where the answer is wanted besides; "" for nowhere.
+        correlation: to be sent back with it.
+        received_s: time.monotonic at its arrival.
+        expires_s: when it must not be obeyed any more; infinity without an expiry.
+    """
+
+    command: str
+    payload: bytes
+    size: int
+    retained: bool = False
+    response_topic: str = ""
+    correlation: bytes | None = None
+    received_s: float = 0.0
+    expires_s: float = math.inf
+
+
+class _Cut(aiomqtt.Message):
+    """A message whose payload was thrown away for its size."""
+
+    size: int = 0
+
+
+class Inbox(asyncio.Queue[aiomqtt.Message]):
+    """Keeps no payload that is too large to be read, so that a flood of them cannot fill the memory."""
+
+    def _put(self, item: aiomqtt.Message) -> None:
+        payload = item.payload
+        if isinstance(payload, bytes) and len(payload) > MAX_PAYLOAD:
+            cut = _Cut(item.topic, b"", item.qos, item.retain, item.mid, item.properties)
+            cut.size = len(payload)
+            item = cut
+        super()._put(item)
+
+
+def incoming_of(message: aiomqtt.Message, topics: Topics) -> Incoming | None:
+    """Read what came with a message; None if somebody has only cleared a retained request."""
+    payload = message.payload if isinstance(message.payload, bytes) else b""
+    retained = bool(message.retain)
+    size = len(payload)
+    if isinstance(message, _Cut):
+        size = message.size
+    if retained and not size:
+        return None
+    properties = message.properties
+    now = time.monotonic()
+    expiry = getattr(properties, "MessageExpiryInterval", None)
+    return Incoming(
+        command=str(message.topic).removeprefix(f"{topics.base}/request/"),
+        payload=payload,
+        size=size,
+        retained=retained,
+        response_topic=str(getattr(properties, "ResponseTopic", "") or ""),
+        correlation=getattr(properties, "CorrelationData", None),
+        received_s=now,
+        expires_s=math.inf if expiry is None else now + float(expiry),
+    )

@@ -1,0 +1,30 @@
+"""The topics of one vehicle (CONTRACT: MQTT)."""
+
+from __future__ import annotations
+
+
+class Topics:
+    """The topics of one vehicle."""
+
+    def __init__(self, prefix: str, vehicle: str) -> None:
+        self.base = f"{prefix}/{vehicle}"
+        self.status = f"{self.base}/status"
+        self.state = f"{self.base}/state"
+        self.plan = f"{self.base}/plan"
+        self.event = f"{self.base}/event"
+        self.requests = f"{self.base}/request/#"
+
+    def request(self, command: str) -> str:
+        """Where a command is asked for."""
+        return f"{self.base}/request/{command}"
+
+    def response(self, command: str) -> str:
+        """Where it is answered."""
+        return f"{self.base}/response/{command}"
+
+    def may_answer_at(self, topic: str) -> bool:
+        """Whether a requester may choose this topic for an answer: below ours, and none that means something else."""
+        if not topic.startswith(f"{self.base}/") or any(char in topic for char in "+#\0"):
+            return False
+        first = topic.removeprefix(f"{self.base}/").partition("/")[0]
+        return first not in {"status", "state", "plan", "event", "request", ""}
