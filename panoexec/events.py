@@ -380,13 +380,18 @@ EVENT_TYPES: Mapping[str, type[Event]] = types.MappingProxyType(
 """All kinds of events by the `type` of their JSON."""
 
 
+class UnknownEventError(ValueError):
+    """An event of a type that this version does not have."""
+
+
 def event_from_json(data: Mapping[str, Any]) -> Event:
     """The event that `to_json` wrote.
 
     Raises:
-        ValueError: an unknown type, or fields that do not fit it.
+        UnknownEventError: an unknown type.
+        ValueError: fields that do not fit it.
     """
     cls = EVENT_TYPES.get(str(data.get("type"))) if isinstance(data, Mapping) else None
     if cls is None:
-        raise ValueError(f"no event of a known type: {str(data)[:80]}")
+        raise UnknownEventError(f"no event of a known type: {str(data)[:80]}")
     return decode(cls, data)

@@ -21,13 +21,16 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Self, TypeVar
 
+from panoexec import __version__
 from panoexec.errors import MissionError, UsageError
-from panoexec.events import Event, event_from_json
+from panoexec.events import Event, UnknownEventError, event_from_json
 from panoexec.journal_tail import lost_tail
 
 APPLICATION_ID = 0x50414E4F
 """`PANO`."""
 SCHEMA_VERSION = 1
+WRITTEN_BY = "panoexec"
+"""Key of the head under which the version stands that began the mission."""
 SCHEMA = """
 CREATE TABLE head (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
 CREATE TABLE events (seq INTEGER PRIMARY KEY, type TEXT NOT NULL, time_utc_s REAL NOT NULL, json TEXT NOT NULL) STRICT;
@@ -294,6 +297,14 @@ def _read_events(path: Path, connection: sqlite3.Connection) -> list[Event]:
     try:
         rows = connection.execute("SELECT json FROM events ORDER BY seq").fetchall()
         events = [event_from_json(json.loads(text)) for (text,) in rows]
+    except UnknownEventError as error:
+        by = _read_head(path, connection).get(WRITTEN_BY, __version__)
+        if by == __version__:
+            raise _damaged(path, error) from error
+        raise JournalFileError(
+            f"{path}: written by panoexec {by}, and tells what this one ({__version__}) does not know ({error});"
+            " resume it with that one"
+        ) from error
     except (sqlite3.Error, ValueError) as error:
         raise _damaged(path, error) from error
     wrong = next((i for i, event in enumerate(events, start=1) if event.seq != i), None)

@@ -19,7 +19,7 @@ from panoexec.codec import decode, encode
 from panoexec.devices import Camera, Gimbal, Severity, Vehicle
 from panoexec.errors import MissionError, UsageError
 from panoexec.events import Event, EventSink
-from panoexec.journal import JournalFileError, SqliteJournal, read_journal
+from panoexec.journal import WRITTEN_BY, JournalFileError, SqliteJournal, read_journal
 from panoexec.manifest import ManifestWriter
 from panoexec.mission.executor import Mission
 from panoexec.mission.pilot import PilotVoice, Saying
@@ -87,7 +87,7 @@ async def create_mission(
     await asyncio.to_thread(write_plan, directory.plan, plan)
     head = {
         "mission_id": directory.mission_id,
-        "panoexec": __version__,
+        WRITTEN_BY: __version__,
         "plan": json.dumps(plan_to_data(plan)),
         "settings": json.dumps(encode(settings)),
         "extra": json.dumps(dict(extra or {})),

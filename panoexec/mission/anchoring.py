@@ -19,7 +19,6 @@ def anchor(flight: Flight) -> None:
     lacks_heading = math.isnan(record.reference_yaw_north_deg) and not math.isnan(status.heading_deg)
     if not lacks_place and not lacks_heading:
         return
-    origin = record.origin
     flight.recorder.emit(
         ev.MissionAnchored(
             reference_yaw_north_deg=status.heading_deg if lacks_heading else record.reference_yaw_north_deg,
@@ -29,12 +28,12 @@ def anchor(flight: Flight) -> None:
         )
     )
     if lacks_place:
-        tell_if_moved(flight, origin)
+        tell_if_moved(flight)
 
 
-def tell_if_moved(flight: Flight, origin: tuple[float, float, float]) -> None:
-    """Warn if the vehicle is not where the mission was flown before (latitude, longitude, altitude)."""
-    moved = distance_m(origin, flight.vehicle.status)
+def tell_if_moved(flight: Flight) -> None:
+    """Warn if the vehicle is not where the first photos were taken, however many processes ago that was."""
+    moved = distance_m(flight.record.first_origin, flight.vehicle.status)
     if moved > flight.settings.guards.position_drift_m:
         text = f"resumed {moved:.1f} m from where the mission began: expect parallax in near objects"
         flight.recorder.emit(ev.Warned(code="position", text=text))

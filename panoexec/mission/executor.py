@@ -200,7 +200,6 @@ class Mission:
     def _start(self) -> None:
         flight, record = self._flight, self._flight.record
         status = flight.vehicle.status
-        origin = record.origin
         kind = record.reference if self._resumed else self._reference
         reference = record.reference_yaw_north_deg
         if math.isnan(reference):  # of a new mission, or one that never knew it and so took no photo
@@ -216,7 +215,7 @@ class Mission:
         )
         flight.recorder.emit(started, MissionState.PREFLIGHT)
         if self._resumed:
-            tell_if_moved(flight, origin)
+            tell_if_moved(flight)
         if flight.settings.feedback == "none":
             text = "no attitude feedback: poses are believed, not proven (open loop)"
             flight.recorder.emit(ev.Warned(code="open_loop", text=text))

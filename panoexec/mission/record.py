@@ -153,6 +153,10 @@ class MissionRecord:
         """Latitude, longitude, altitude above sea level where the mission began, or went on after a restart."""
         self.anchored = False
         """Whether this process knows it."""
+        self.first_origin = self.origin
+        """Where the first photos were taken."""
+        self.last_accepted: int | None = None
+        """The shot whose photo was accepted last."""
         self.started_utc_s = math.nan
         self.finished_utc_s = math.nan
         self.restarts = 0
@@ -235,6 +239,8 @@ class MissionRecord:
         if not self.anchored and not math.isnan(event.latitude_deg):
             self.origin = (event.latitude_deg, event.longitude_deg, event.altitude_m)
             self.anchored = True
+            if math.isnan(self.first_origin[0]):
+                self.first_origin = self.origin
         # the earlier photos depend on this direction, so it stays once it is known
         if math.isnan(self.reference_yaw_north_deg):
             self.reference_yaw_north_deg = event.reference_yaw_north_deg
@@ -274,6 +280,7 @@ class MissionRecord:
                     raise ValueError(f"shot {event.shot}: attempt {event.attempt} accepted without an exposure")
                 attempt.verdict, attempt.by, attempt.photos = Verdict.ACCEPTED, event.by, event.photos
                 record.status, record.reason = ShotStatus.ACCEPTED, ""
+                self.last_accepted = event.shot
                 self._done.add(event.shot)  # for good: what is accepted is never taken back, only repeated
             case ev.ShotRejected():
                 attempt = self._open(event)

@@ -61,7 +61,7 @@ class Verbs:
         flight = self._flight
         if flight.control.must_leave:
             raise CommandRefusedError("cannot repeat: shooting is over")
-        index = self._last_accepted() if shot is None else shot
+        index = flight.record.last_accepted if shot is None else shot
         record = flight.record.shots.get(-1 if index is None else index)
         if record is None or index is None:
             raise CommandRefusedError(self._no_such("repeat", shot))
@@ -104,14 +104,6 @@ class Verbs:
 
     def _log(self, command: str, *, shot: int | None = None, reason: str = "") -> None:
         self._flight.recorder.emit(ev.CommandReceived(command=command, shot=shot, reason=reason))
-
-    def _last_accepted(self) -> int | None:
-        accepted = [
-            (attempt.started_utc_s, attempt.number, index)
-            for index, record in self._flight.record.shots.items()
-            if (attempt := record.accepted) is not None
-        ]
-        return max(accepted)[2] if accepted else None
 
     def _no_such(self, command: str, shot: int | None) -> str:
         if shot is None:

@@ -162,3 +162,16 @@ async def test_a_full_disk_is_called_so(journals: Journals, monkeypatch: pytest.
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
     with pytest.raises(JournalFileError, match=r"cannot be opened .there is no room left in"):
         await open_mission(MissionDirectory(journals.killed))
+
+
+def test_what_another_version_wrote_is_not_called_damaged(journals: Journals, tmp_path: Path) -> None:
+    folder = tmp_path / "mission"
+    shutil.copytree(journals.closed, folder)
+    with sqlite3.connect(folder / "journal.sqlite") as connection:
+        connection.execute("UPDATE events SET json = ? WHERE seq = 5", ('{"type": "moon_landing", "seq": 5}',))
+        connection.execute("UPDATE head SET value = '99.1' WHERE key = 'panoexec'")
+    connection.close()
+    outcome = _outcome(folder)
+    assert isinstance(outcome, str)
+    assert "written by panoexec 99.1" in outcome
+    assert "resume it with that one" in outcome

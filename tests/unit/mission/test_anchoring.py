@@ -103,3 +103,21 @@ def test_a_resumed_mission_that_moved_says_so_when_it_knows() -> None:
     assert [event.code for event in world.sink.of(ev.Warned)] == ["position"]
     assert "resumed 6.0 m from where" in world.sink.of(ev.Warned)[0].text
     assert not [event for event in world.sink.of(ev.MissionPaused) if event.code == "position"]
+
+
+def test_many_small_moves_add_up() -> None:
+    """Each process begins 2 m from where the last one did, which its guard of drift cannot see."""
+
+    async def main() -> World:
+        async with a_world() as world:
+            for life in range(3):
+                world.vehicle.change(**HERE | {"latitude_deg": 47.0 + 2 * life * METRE})
+                mission = world.mission(past=list(world.journal.events))
+                running = asyncio.create_task(mission.run(), name=f"life {life}")
+                await until_event(world, ev.ShotAccepted, life + 1)
+                mission.verbs.interrupt()
+                await running
+            return world
+
+    world = run_virtual(main())
+    assert ["resumed 4.0 m from where" in event.text for event in world.sink.of(ev.Warned)] == [True]

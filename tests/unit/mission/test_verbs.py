@@ -223,3 +223,18 @@ def test_what_comes_after_the_last_decision_is_refused_and_not_forgotten(verb: s
     world = fly(script, prepare)
     assert world.record.state is S.COMPLETE
     assert not world.sink.of(ev.CommandReceived)
+
+
+def test_the_last_shot_is_the_last_one_whatever_the_wall_clock_says() -> None:
+    """A computer without a clock of its own gets the time in the middle of a flight."""
+
+    async def script(world: World, mission: Mission) -> None:
+        await until_event(world, ev.ShotAccepted, 1)
+        time = world.clock.time
+        setattr(world.clock, "time", lambda: time() - 86400.0)  # noqa: B010
+        await until_event(world, ev.ShotAccepted, 3)
+        assert mission.verbs.repeat() == 2
+
+    world = fly(script)
+    assert world.record.state is S.COMPLETE
+    assert len(world.record.shots[2].attempts) == 2
