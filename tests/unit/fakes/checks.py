@@ -17,6 +17,7 @@ def check_mission(world: World, record: MissionRecord) -> None:
     """All invariants of an ended or stopped mission."""
     check_announcements(world, record)
     check_states(world)
+    check_commands(world)
     check_shots(world, record)
     check_accepted(world, record)
     check_end(world, record)
@@ -42,6 +43,24 @@ def check_states(world: World) -> None:
             state = MissionState.IDLE
         assert event.state is state or event.state in TRANSITIONS[state], f"{state} to {event.state}"
         state = event.state
+
+
+def check_commands(world: World) -> None:
+    """What was answered is obeyed, through however many processes: no slew after an end, none to what was skipped."""
+    over, skipped = "", set()
+    for event in world.journal.events:
+        match event:
+            case ev.CommandReceived(command="abort" | "finish"):
+                over = event.command
+            case ev.CommandReceived(command="skip", shot=int(shot)):
+                skipped.add(shot)
+            case ev.CommandReceived(command="repeat", shot=int(shot)):
+                skipped.discard(shot)
+            case ev.ShotStarted():
+                assert not over, f"shot {event.shot} after {over}"
+                assert event.shot not in skipped
+            case ev.MissionFinished() if over == "abort":
+                assert event.state is MissionState.ABORTED
 
 
 def check_shots(world: World, record: MissionRecord) -> None:
