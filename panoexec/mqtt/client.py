@@ -30,11 +30,15 @@ class BrokerClient(aiomqtt.Client):
 
     Attributes:
         acknowledged: MQTT 5's reason code of the last acknowledged message; 128 and above are refusals.
+        most_unacknowledged: messages that the broker takes before it has acknowledged the first (MQTT 5).
+        largest_packet: bytes of a packet that it takes at most (MQTT 5), None if it does not say.
     """
 
     def __init__(self, **options: Any) -> None:
         """As aiomqtt's."""
         self.acknowledged = 0
+        self.most_unacknowledged = 65_535
+        self.largest_packet: int | None = None
         self._trouble = _Trouble()
         self._abandoned = False
         logger = logging.Logger("mqtt")  # noqa: LOG001  (not the library's: what it says belongs to this connection)
@@ -64,6 +68,11 @@ class BrokerClient(aiomqtt.Client):
             self._connected.exception()  # somebody who stopped waiting need not be told
             return
         super()._on_disconnect(client, userdata, flags, reason_code, properties)
+
+    def _on_connect(self, client: Any, userdata: Any, flags: Any, reason_code: Any, properties: Any = None) -> None:
+        self.most_unacknowledged = int(getattr(properties, "ReceiveMaximum", self.most_unacknowledged))
+        self.largest_packet = getattr(properties, "MaximumPacketSize", None)
+        super()._on_connect(client, userdata, flags, reason_code, properties)
 
     def _on_publish(self, client: Any, userdata: Any, mid: int, reason_code: Any, properties: Any) -> None:
         self.acknowledged = int(getattr(reason_code, "value", 0))

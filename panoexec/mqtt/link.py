@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import random
 import time
 from collections.abc import AsyncIterator, Callable
@@ -22,10 +23,10 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 from panoexec.config import MqttSection
 from panoexec.errors import PanoexecError
 from panoexec.mqtt.certificates import explained
-from panoexec.mqtt.client import CONNECT_S, broker_client
+from panoexec.mqtt.client import CONNECT_S, BrokerClient, broker_client
 from panoexec.mqtt.incoming import Inbox, Incoming, incoming_of
-from panoexec.mqtt.outbox import Outbox, Outgoing
-from panoexec.mqtt.topics import Topics
+from panoexec.mqtt.outbox import Outbox, Outgoing, Suspicion
+from panoexec.mqtt.topics import Topics, is_topic_part
 
 ONLINE: Final = b"online"
 OFFLINE: Final = b"offline"
@@ -41,6 +42,10 @@ _LARGEST_PACKET: Final = 16 * 2**20
 _BATCH: Final = 16
 _SUSPICIOUS: Final = 2
 _REFUSED: Final = 128
+_TAKEN_OVER: Final = 142
+_AT_ONCE_S: Final = 3.0
+_HEAD: Final = 100
+"""Bytes of a packet besides topic, payload and correlation data."""
 
 _log = structlog.get_logger(__name__)
 
@@ -88,6 +93,9 @@ class MqttLink:
         self._stopping = asyncio.Event()
         self._said = ""
         self._short = 0
+        self._suspicion = Suspicion()
+        self._under_way: list[Outgoing] = []
+        self._sent_s = -math.inf
 
     # --- out
 
@@ -97,8 +105,7 @@ class MqttLink:
 
     def respond(self, request: Incoming, payload: bytes) -> None:
         """Answer a request: on the command's response topic, and where its sender wants it, if that is allowed."""
-        command = request.command if _is_topic_part(request.command) else "unknown"
-        usual = self.topics.response(command)
+        usual = self.topics.response(request.command if is_topic_part(request.command) else "unknown")
         self.publish(usual, payload, correlation=request.correlation)
         if not request.response_topic or request.response_topic == usual:
             return
@@ -127,6 +134,8 @@ class MqttLink:
                 elif self.connected:
                     self._short += 1  # a broker ends the connection of a client when a second one comes with its name
                 self._lost(error)
+                if self._blame(error):
+                    patience_s = self._backoff_s
             finally:
                 self.connected = False
             if self._stopping.is_set():
@@ -181,7 +190,7 @@ class MqttLink:
                 one.cancel()
             await asyncio.gather(task, stop, return_exceptions=True)
 
-    async def _talk(self, client: aiomqtt.Client) -> None:
+    async def _talk(self, client: BrokerClient) -> None:
         """Take requests and publish until the connection is lost or `stop`."""
         reading = asyncio.create_task(self._read(client), name="mqtt requests")
         sending = asyncio.create_task(self._send(client), name="mqtt outbox")
@@ -201,13 +210,12 @@ class MqttLink:
             if incoming is not None:
                 self._on_request(incoming)
 
-    async def _send(self, client: aiomqtt.Client) -> None:
+    async def _send(self, client: BrokerClient) -> None:
         while True:
             self.pulse_s = time.monotonic()
-            await asyncio.sleep(
-                0
-            )  # the state that an event has changed goes out, and is acknowledged, together with it
-            batch = self.outbox.take(_BATCH)
+            # the state that an event has changed goes out, and is acknowledged, together with it
+            await asyncio.sleep(0)
+            batch = self._next(client)
             if batch:
                 await self._send_batch(client, batch)
             elif self._stopping.is_set():
@@ -218,8 +226,20 @@ class MqttLink:
                     async with asyncio.timeout(_PULSE_S):
                         await self.outbox.filled.wait()
 
+    def _next(self, client: BrokerClient) -> list[Outgoing]:
+        """What the broker takes at once; what it never would is given up."""
+        while True:
+            batch = self.outbox.take(1 if self._suspicion.wary else min(_BATCH, client.most_unacknowledged))
+            most = client.largest_packet
+            large = [message for message in batch if most is not None and _size(message) > most]
+            if not large:
+                return batch
+            for message in large:
+                self._give_up(message, f"the broker takes packets of {most} bytes at most")
+
     async def _send_batch(self, client: aiomqtt.Client, batch: list[Outgoing]) -> None:
         """Several at once, in order: a radio with a long way there and back must not be waited for each time."""
+        self._under_way, self._sent_s = list(batch), time.monotonic()
         sends = [
             asyncio.ensure_future(
                 client.publish(
@@ -237,10 +257,26 @@ class MqttLink:
             if isinstance(result, BaseException):
                 raise result
             self.outbox.done(message)
+            self._under_way.remove(message)
+        self._suspicion.acknowledged(batch, left=len(self.outbox))
+
+    def _blame(self, error: Exception) -> bool:
+        """Whether the connection may have ended because of what was being sent, which is given up in the end."""
+        waiting, self._under_way = self._under_way, []
+        taken_over = getattr(getattr(error, "rc", None), "value", None) == _TAKEN_OVER
+        if not waiting or taken_over or time.monotonic() - self._sent_s > _AT_ONCE_S:
+            return False
+        if self._suspicion.ended(waiting[0], alone=len(waiting) == 1):
+            self._give_up(waiting[0], f"the broker ends the connection at it ({error})")
+        return True
+
+    def _give_up(self, message: Outgoing, why: str) -> None:
+        _log.error("a message was given up", topic=message.topic[:200], size=len(message.payload), error=why)
+        self.outbox.give_up(message)
 
     # --- details of the protocol
 
-    async def _client(self) -> aiomqtt.Client:
+    async def _client(self) -> BrokerClient:
         connect = None
         if self._five:
             connect = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
@@ -284,7 +320,7 @@ class MqttLink:
 
     def _lost(self, error: Exception) -> None:
         text = explained(str(error) or type(error).__name__, self._settings)
-        if self._short >= _SUSPICIOUS:
+        if self._short >= _SUSPICIOUS and not self._suspicion.wary:
             text = f"each connection ends at once: do two daemons have the vehicle id {self._vehicle!r}? ({text})"
         self.reason = text
         if text != self._said:
@@ -299,8 +335,8 @@ def _with_reason(client: aiomqtt.Client, error: aiomqtt.MqttError) -> aiomqtt.Mq
     return reason if isinstance(reason, aiomqtt.MqttError) else error
 
 
-def _is_topic_part(text: str) -> bool:
-    return 0 < len(text) <= 64 and text.replace("_", "").replace("-", "").isalnum() and text.isascii()
+def _size(message: Outgoing) -> int:
+    return len(message.payload) + len(message.topic.encode()) + len(message.correlation or b"") + _HEAD
 
 
 @contextlib.asynccontextmanager

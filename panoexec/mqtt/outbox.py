@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 
@@ -77,6 +78,19 @@ class Outbox:
             out.append(message)
         return out
 
+    def give_up(self, message: Outgoing) -> None:
+        """No broker connection survives it: it does not go out any more."""
+        if message.retain:
+            if self._retained.get(message.topic) is message:
+                del self._retained[message.topic]
+                self._stale.pop(message.topic, None)
+        elif message in self._queue:
+            self._queue.remove(message)
+            self._bytes -= len(message.payload)
+        self.dropped += 1
+        if not len(self):
+            self.filled.clear()
+
     def done(self, message: Outgoing) -> None:
         """The broker has it."""
         if message.retain:
@@ -86,3 +100,35 @@ class Outbox:
             self._bytes -= len(self._queue.popleft().payload)
         if not len(self):
             self.filled.clear()
+
+
+class Suspicion:
+    """Finds the message at which a broker ends the connection, for ever, if it is too large for it, say.
+
+    After a connection that ended while several were on their way, they go one by one; the one at which the connection
+    ends `STRIKES` times in a row is guilty.
+    """
+
+    STRIKES = 3
+
+    def __init__(self) -> None:
+        self.wary = False
+        """Whether messages should go one by one."""
+        self._suspect: Outgoing | None = None
+        self._strikes = 0
+
+    def ended(self, message: Outgoing, *, alone: bool) -> bool:
+        """The connection ended with this message on its way; whether it is guilty."""
+        self.wary = True
+        if not alone:
+            return False
+        self._strikes = self._strikes + 1 if message is self._suspect else 1
+        self._suspect = message
+        return self._strikes >= self.STRIKES
+
+    def acknowledged(self, messages: Sequence[Outgoing], *, left: int) -> None:
+        """The broker has these; so many others wait."""
+        if any(message is self._suspect for message in messages):
+            self._suspect, self._strikes = None, 0
+        if not left:
+            self.wary = False

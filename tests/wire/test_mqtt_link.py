@@ -16,8 +16,10 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from panoexec.config import MqttSection
+from panoexec.mqtt.client import broker_client
 from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.link import MqttLink, running
+from panoexec.mqtt.topics import Topics
 from tests.wire.broker import Broker, eventually, needs_mosquitto, running_broker
 
 pytestmark = needs_mosquitto
@@ -119,6 +121,85 @@ async def test_answers_at_the_response_topic_below_the_base_topic_only(broker: B
         answers = [p for (t, _, _), p in zip(ground.seen, ground.properties, strict=True) if "response" in t]
         assert all(answer.CorrelationData == b"\x01\x02" for answer in answers)
         assert all(answer.ContentType == "application/json" for answer in answers)
+
+
+@pytest.mark.parametrize(
+    ("topic", "allowed"),
+    [
+        ("panoexec/drone/response/gcs-7", True),
+        ("panoexec/drone/gcs/a/b/c", True),
+        ("panoexec/drone/response/" + "x" * 400, True),
+        ("panoexec/drone/response/" + "x" * 500, False),
+        ("panoexec/drone/response" + "/a" * 300, False),
+        ("panoexec/drone/response/\x85", False),
+        ("panoexec/drone/response/+", False),
+        ("panoexec/drone/", False),
+        ("panoexec/drone/state", False),
+        ("panoexec/drone/state/x", False),
+        ("panoexec/drone/request/abort", False),
+        ("panoexec/drone2/response/x", False),
+        ("$SYS/broker", False),
+    ],
+)
+def test_where_an_answer_may_go(topic: str, allowed: bool) -> None:
+    assert Topics("panoexec", "drone").may_answer_at(topic) is allowed
+
+
+async def test_a_response_topic_that_the_broker_does_not_bear_costs_nobody_the_link(broker: Broker) -> None:
+    requests: list[Incoming] = []
+    async with ground_station(broker) as ground, running(a_link(broker, requests)) as link:
+        await eventually(lambda: link.connected)
+        for topic in ("panoexec/drone/response" + "/a" * 300, "panoexec/drone/response/" + "a" * 60_000):
+            properties = request_properties(ResponseTopic=topic)
+            await ground.client.publish("panoexec/drone/request/get", b"{}", qos=1, properties=properties)
+        await eventually(lambda: len(requests) == 2)
+        for request in requests:
+            link.respond(request, b'"answer"')
+        link.publish(link.topics.event, b"afterwards")
+        await eventually(lambda: ground.payloads(link.topics.event) == [b"afterwards"])
+        assert len(ground.payloads("panoexec/drone/response/get")) == 2
+        assert (link.connected, link.outbox.dropped) == (True, 0)
+    assert broker.log.read_text().count("as panoexec-panoexec-drone") == 1, "one connection all the time"
+
+
+@pytest.mark.parametrize(
+    ("protocol", "setting"),
+    [
+        ("5", "max_packet_size 2000"),  # told at the connection
+        ("3.1.1", "max_packet_size 2000"),  # told to nobody
+        ("5", "message_size_limit 2000"),  # told to nobody either
+    ],
+)
+async def test_what_a_broker_does_not_bear_is_given_up_and_all_else_arrives(
+    tmp_path: Path, protocol: Protocol, setting: str
+) -> None:
+    requests: list[Incoming] = []
+    with running_broker(tmp_path, settings=f"allow_anonymous true\n{setting}") as broker:
+        async with ground_station(broker) as ground, running(a_link(broker, requests, protocol=protocol)) as link:
+            await eventually(lambda: link.connected)
+            link.publish(link.topics.state, b"state", retain=True)
+            link.publish(link.topics.plan, b"p" * 3000, retain=True)
+            for number in range(20):
+                link.publish(link.topics.event, b"%d" % number)
+            link.publish(link.topics.event, b"x" * 3000)
+            link.publish(link.topics.event, b"20")
+            await eventually(lambda: b"20" in ground.payloads(link.topics.event))
+            await eventually(lambda: link.connected and not len(link.outbox))
+            heard = dict.fromkeys(ground.payloads(link.topics.event))
+            assert list(heard) == [b"%d" % number for number in range(21)]
+            assert ground.payloads(link.topics.plan) == []
+            assert link.outbox.dropped == 2
+
+
+async def test_no_more_is_sent_than_the_broker_takes_unacknowledged(tmp_path: Path) -> None:
+    with running_broker(tmp_path, settings="allow_anonymous true\nmax_inflight_messages 3") as broker:
+        client = await broker_client(MqttSection(host="127.0.0.1", port=broker.port))
+        async with client:
+            assert (client.most_unacknowledged, client.largest_packet) == (3, None)
+            link = a_link(broker, [])
+            for number in range(20):
+                link.publish(link.topics.event, b"%d" % number)
+            assert len(link._next(client)) == 3
 
 
 async def test_tells_retained_requests_whenever_they_come(broker: Broker) -> None:

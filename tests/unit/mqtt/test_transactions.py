@@ -10,7 +10,7 @@ import pytest
 
 from panoexec.errors import UsageError
 from panoexec.mqtt import transactions
-from panoexec.mqtt.outbox import Outbox, Outgoing
+from panoexec.mqtt.outbox import Outbox, Outgoing, Suspicion
 from panoexec.mqtt.requests import RefusedRequestError, Request, parse_request
 from panoexec.mqtt.transactions import StorageDownError, Transactions
 
@@ -152,3 +152,37 @@ async def test_the_outbox_is_bounded_by_number_and_bytes() -> None:
     box.put(message("event", b"12345678"))
     assert [one.payload for one in box.take(10)] == [b"3", b"4", b"12345678"]
     assert box.dropped == 3
+
+
+def test_the_message_at_which_the_connection_ends_again_and_again_is_found() -> None:
+    good, bad = message("event", b"good"), message("event", b"bad")
+    suspicion = Suspicion()
+    assert not suspicion.ended(good, alone=False)
+    assert suspicion.wary, "one by one from now on"
+    assert not suspicion.ended(good, alone=True)
+    suspicion.acknowledged([good], left=1)
+    assert [suspicion.ended(bad, alone=True) for _ in range(3)] == [False, False, True]
+    suspicion.acknowledged([good], left=0)
+    assert not suspicion.wary
+
+
+def test_links_that_are_lost_now_and_then_condemn_nothing() -> None:
+    suspicion, event = Suspicion(), message("event")
+    for _ in range(10):
+        assert not suspicion.ended(event, alone=True)
+        assert not suspicion.ended(event, alone=True)
+        suspicion.acknowledged([event], left=0)
+
+
+async def test_what_is_given_up_goes_out_no_more() -> None:
+    box = Outbox()
+    event, state = message("event"), message("state", retain=True)
+    box.put(event)
+    box.put(state)
+    box.give_up(event)
+    assert box.take(9) == [state]
+    box.give_up(state)
+    box.renew()
+    assert box.take(9) == []
+    assert not box.filled.is_set()
+    assert box.dropped == 2
