@@ -237,6 +237,10 @@ class Missions:
             self.trouble = str(error)
             _log.error("mission ended by an error", mission_id=stored.directory.mission_id, error=str(error))
             await self._tell_pilot(devices.vehicle)
+        except Exception as error:  # noqa: BLE001  (the edge of the service: a fault of ours must not end the daemon)
+            self.trouble = f"{type(error).__name__}: {error}"
+            _log.exception("mission ended by an error of ours", mission_id=stored.directory.mission_id)
+            await self._tell_pilot(devices.vehicle)
         finally:
             self.mission, self._over = None, True
 
