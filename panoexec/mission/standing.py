@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from enum import StrEnum
 from itertools import groupby
 from typing import Final
 
+from panoexec import events as ev
 from panoexec.mission.record import MissionRecord, ShotRecord, ShotStatus
 
 
@@ -47,8 +49,48 @@ def standing_of(record: ShotRecord, *, current: bool) -> Standing:
 
 def standings_text(record: MissionRecord) -> str:
     """All shots in the order of their indices, equal neighbours together: `d12 r1 c1 t42`."""
-    letters = (standing_of(shot, current=index == record.current) for index, shot in sorted(record.shots.items()))
+    return _in_runs(standing_of(shot, current=index == record.current) for index, shot in sorted(record.shots.items()))
+
+
+def _in_runs(letters: Iterable[Standing]) -> str:
     return " ".join(f"{letter.value}{sum(1 for _ in run)}" for letter, run in groupby(letters))
+
+
+class Standings:
+    """The text of the mission that flies, kept up to date by its events: a large one has thousands of shots."""
+
+    def __init__(self) -> None:
+        self._record: MissionRecord | None = None
+        self._places: dict[int, int] = {}
+        self._letters: list[Standing] = []
+        self._touched: set[int] = set()
+        self._current: int | None = None
+        self._text = ""
+
+    def note(self, event: ev.Event) -> None:
+        """Take an event that was announced."""
+        if isinstance(event, ev.ShotEvent):
+            self._touched.add(event.shot)
+
+    def text(self, record: MissionRecord | None) -> str:
+        """As `standings_text`; "" without a mission."""
+        if record is None:
+            return ""
+        if record is not self._record or len(record.shots) != len(self._letters):
+            self._record = record
+            self._places = {index: place for place, index in enumerate(sorted(record.shots))}
+            self._letters = [Standing.TO_DO] * len(record.shots)
+            self._touched = set(record.shots)
+        elif not self._touched and record.current == self._current:
+            return self._text
+        self._touched |= {index for index in (self._current, record.current) if index in self._places}
+        for index in self._touched & self._places.keys():
+            standing = standing_of(record.shots[index], current=index == record.current)
+            self._letters[self._places[index]] = standing
+        self._touched.clear()
+        self._current = record.current
+        self._text = _in_runs(self._letters)
+        return self._text
 
 
 def standings_from_text(text: str, *, count: int) -> list[Standing]:

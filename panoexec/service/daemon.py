@@ -18,7 +18,7 @@ from panoexec.config import Config
 from panoexec.errors import PanoexecError
 from panoexec.events import Event
 from panoexec.logs import configure_logs
-from panoexec.mission.standing import standings_text
+from panoexec.mission.standing import Standings
 from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.link import MqttLink
 from panoexec.mqtt.messages import State, dump, dump_json
@@ -87,6 +87,7 @@ class Daemon:
         self._seq = 0
         self._beat_s = time.monotonic()
         self._published_plan: Plan | None = None
+        self._standings = Standings()
         self._storage_trouble = ""
         self._taken_up = False
         self.vehicle = VehicleLink(config, clock=clock, changed=self._changed.set)
@@ -222,6 +223,7 @@ class Daemon:
 
     def publish(self, event: Event) -> None:
         """Take an event of a mission (`EventSink`)."""
+        self._standings.note(event)
         where = {name: value for name in ("shot", "attempt") if (value := getattr(event, name, None)) is not None}
         _log.info(event.type, seq=event.seq, mission_id=event.mission_id, state=event.state.value, **where)
         if self.mqtt is not None:
@@ -279,7 +281,7 @@ class Daemon:
             shots_done=0 if record is None else record.shots_done,
             attempts=0 if record is None else record.attempts,
             retakes=0 if record is None else record.retakes,
-            shots="" if record is None else standings_text(record),
+            shots=self._standings.text(record),
             current=record.current if record is not None and mission is not None else None,
             eta_s=round(eta, 1) if math.isfinite(eta) else None,
             reason=reason,

@@ -6,7 +6,7 @@ import pytest
 
 from panoexec import events as ev
 from panoexec.mission.executor import Mission
-from panoexec.mission.standing import Standing, standing_of, standings_from_text, standings_text
+from panoexec.mission.standing import Standing, Standings, standing_of, standings_from_text, standings_text
 from tests.unit.fakes.flying import drift_at, fly, until_event
 from tests.unit.fakes.world import World, a_plan
 
@@ -15,15 +15,28 @@ def test_a_mission_on_its_way_tells_all_its_shots() -> None:
     async def script(world: World, mission: Mission) -> None:
         await until_event(world, ev.ShotStarted)
         mission.verbs.skip(4)
+        noted = 0
         while not mission.record.ended:
+            for event in world.sink.events[noted:]:
+                kept.note(event)
+            noted = len(world.sink.events)
             texts.append(standings_text(mission.record))
+            if noted == mission.record.seq:  # all that is known was announced
+                assert kept.text(mission.record) == texts[-1]
+                compared.append(texts[-1])
             await world.clock.sleep(0.05)
 
     def prepare(world: World) -> None:
         drift_at(world, -120.0, until_s=world.clock.monotonic() + 4.0)
 
     texts: list[str] = []
+    compared: list[str] = []
+    kept = Standings()
+    assert kept.text(None) == ""
     world = fly(script, prepare, plan=a_plan(6))
+    assert len(set(compared)) > 4
+    other = world.record_of_journal()
+    assert kept.text(other) == standings_text(other)  # of another mission
     assert "d1 a1 t2 m1 t1" in texts or "d1 c1 t2 m1 t1" in texts
     assert "d1 r1 c1 t1 m1 t1" in texts
     record = world.record
