@@ -10,6 +10,7 @@ yaw from true north. Errors are measured minus target (`panoexec.planning.pose_e
 from __future__ import annotations
 
 import asyncio
+import functools
 import json
 import math
 from collections.abc import Callable, Mapping
@@ -212,7 +213,7 @@ def _shot_json(record: ShotRecord, reference_yaw_north_deg: float, folder: Path)
         "patch": record.patch,
         "status": record.status.value,
         "reason": record.reason,
-        "target": _pose_json(pose_of(rotation(shot.yaw_deg, shot.pitch_deg)))
+        "target": _target_json(shot.pitch_deg, shot.yaw_deg)
         | {"yaw_north_deg": _number(to_north(shot.yaw_deg, reference_yaw_north_deg))},
         "accepted_attempt": None if accepted is None else accepted.number,
         "file": "" if accepted is None else attempts[accepted.number - 1]["file"],
@@ -235,7 +236,7 @@ def _attempt_json(attempt: AttemptRecord, folder: Path) -> dict[str, Any]:
         "code": attempt.code,
         "reason": attempt.reason,
         "started": iso_utc(attempt.started_utc_s),
-        "target": _pose_json(pose_of(rotation(attempt.yaw_deg, attempt.pitch_deg))),
+        "target": _target_json(attempt.pitch_deg, attempt.yaw_deg),
         "measured": None,
         "error_deg": None,
         "samples": 0,
@@ -262,6 +263,12 @@ def file_name(told: str, folder: Path) -> str:
         if path.is_relative_to(folder.resolve()):
             return path.relative_to(folder.resolve()).as_posix()
     return told
+
+
+@functools.lru_cache(maxsize=1024)
+def _target_json(pitch_deg: float, yaw_deg: float) -> dict[str, Any]:
+    """A target as JSON: asked for with each attempt at a shot and each change of it; not to be changed."""
+    return _pose_json(pose_of(rotation(yaw_deg, pitch_deg)))
 
 
 def _pose_json(pose: ev.MeasuredPose) -> dict[str, Any]:

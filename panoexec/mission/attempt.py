@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+from panoexec.angles import yaw_pitch_roll
 from panoexec.clock import Clock
 from panoexec.devices import Camera, EvidenceLevel, Gimbal, PendingCapture
 from panoexec.errors import DeviceError
@@ -20,7 +21,7 @@ from panoexec.mission.waiting import until, within
 from panoexec.planning.duration import slew_time_s
 from panoexec.planning.model import Shot
 from panoexec.pointing import SettleLimits, SettleTracker, Target, WindowVerdict, judge_window
-from panoexec.pose_reading import PoseReader, pose_of, read_pose, to_north
+from panoexec.pose_reading import PoseReader, read_pose, to_north
 
 T = TypeVar("T")
 
@@ -288,8 +289,8 @@ class Shooter:
         reading = read_pose(sample, self.gimbal.feed.vehicle_attitude_at(sample), self.reference_yaw_north_deg)
         if reading.rotation is None:
             return None
-        pose = pose_of(reading.rotation)
-        return pose.pitch_deg, pose.yaw_deg
+        yaw, pitch, _ = yaw_pitch_roll(reading.rotation)
+        return float(pitch), float(yaw)
 
     def _interval_left_s(self) -> float:
         return max(0.0, self._ready_s - self.clock.monotonic())
