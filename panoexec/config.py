@@ -279,6 +279,9 @@ def load_config(path: Path, environment: Mapping[str, str]) -> Config:
     Raises:
         InputFileError: with every problem of the file and of the overriding variables.
     """
+    if not path.exists():
+        copy = "config/panoexec.toml in a clone, /usr/share/panoexec/config.toml of the package"
+        raise InputFileError(str(path), [f"cannot be read: there is no such file; one to copy is {copy}"])
     tables = read_toml(path)
     problems = _apply_environment(tables, environment)
     try:

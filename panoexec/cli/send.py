@@ -35,7 +35,8 @@ _WRONG = frozenset({"too_large", "not_json", "unknown_command", "invalid", "conf
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     parser.add_argument("command", metavar="COMMAND", help=", ".join(REQUESTS))
-    parser.add_argument("fields", nargs="*", metavar="KEY=VALUE", help="of the request")
+    # without a default argparse calls it required where options may stand between
+    parser.add_argument("fields", nargs="*", default=[], metavar="KEY=VALUE", help="of the request")
     parser.add_argument("--plan", type=Path, metavar="PLAN.json", help="for plan and start: a whole plan file")
     parser.add_argument("--timeout", type=positive, default=60.0, metavar="S", help="to wait for the answer (60)")
     parser.add_argument("--json", action="store_true", help="the answer as one JSON document on stdout")
@@ -52,8 +53,10 @@ def run(args: argparse.Namespace) -> int:
     if args.plan is not None:
         try:
             fields["plan"] = json.loads(args.plan.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise UsageError(f"--plan {args.plan}: {error}") from error
+        except OSError as error:
+            raise UsageError(f"--plan {args.plan}: cannot be read: {error.strerror or error}") from error
+        except ValueError as error:
+            raise UsageError(f"--plan {args.plan}: is not valid JSON: {error}") from error
     section, vehicle = broker_of(args)
     answer = asyncio.run(_ask(section, vehicle, args.command, fields, args.timeout))
     if args.json:

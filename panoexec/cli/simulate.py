@@ -77,7 +77,9 @@ def _how_to_connect(config: SimConfig, connect: str) -> list[str]:
             "the autopilot needs MNT1_TYPE 6; it adopts the gimbal 10 s after its boot",
         ]
     what = "ArduPilot copter" if config.autopilot == "ardupilot" else "PX4 copter"
-    ports = config.port or " and ".join(map(str, DEFAULT_PORTS))
+    # it waits on one port, and sends to two
+    default = str(DEFAULT_PORTS[0]) if config.listen else " and ".join(map(str, DEFAULT_PORTS))
+    ports = config.port or default
     lines = [f"simulated {what}, system {config.system_id}: MAVLink on UDP, {config.host}:{ports}"]
     if config.listen:
         lines.append(f'MAVSDK and `panoexec serve`: connection = "{connect}"; it answers whoever talks first')

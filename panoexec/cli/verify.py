@@ -19,6 +19,7 @@ from pathlib import Path
 from panoexec.cli.output import note, print_facts, print_json
 from panoexec.cli.plan import certificate_facts, check_targets
 from panoexec.cli.planning_options import add_camera_arguments, add_constraint_arguments, constraints_of, profile_of
+from panoexec.errors import UsageError
 from panoexec.planfile import camera_to_data, certificate_to_data, read_plan_file, write_plan
 from panoexec.planning.certificate import certify
 from panoexec.planning.model import Plan
@@ -72,5 +73,7 @@ def _plan(args: argparse.Namespace) -> Plan:
         return replace(
             published, camera=camera or published.camera, constraints=constraints_of(args, published.constraints)
         )
+    if not args.plan.suffix and not args.plan.exists():
+        raise UsageError(f"{args.plan}: neither a file nor a published plan: those are {', '.join(PUBLISHED)}")
     file = read_plan_file(args.plan)
     return file.plan(camera=camera, constraints=constraints_of(args, file.constraints))

@@ -59,6 +59,8 @@ def run(args: argparse.Namespace) -> int:
     if interrupted:
         return EXIT_INTERRUPTED
     if args.all:
+        if not vehicles:
+            note(f"panoexec: nothing was heard of any vehicle below {section.prefix}/: is that the prefix of theirs?")
         return 0
     watched = vehicles.get(vehicle)
     if watched is None:

@@ -133,6 +133,9 @@ async def test_nobody_answers(tmp_path: Path) -> None:
         code, _, err = await outcome("watch", "--port", broker.port, "--timeout", "0.5", "--vehicle", "kite")
         assert code == 3
         assert "nothing was heard of kite" in err
+        code, _, err = await outcome("watch", "--all", "--port", broker.port, "--timeout", "0.5")
+        assert code == 0
+        assert "nothing was heard of any vehicle below panoexec/" in err
 
 
 @pytest.mark.parametrize(
