@@ -17,7 +17,7 @@ PILOTS_NAMES = {"OFFBOARD": "OFFBOARD (ArduPilot: GUIDED)", "HOLD": "HOLD (PX4: 
 """Flight modes as pilots know them, by MAVSDK's names."""
 
 LEISURELY_S = 2.5
-"""While the gimbal is not held, its reports are looked at once a second, or come five times: silence is longer."""
+"""While the gimbal is not held, its reports are looked at once a second, or come twice: silence is longer."""
 FRESH_FRAC = 0.9
 """A battery with more than this is as full as one is that has just taken off."""
 
