@@ -116,7 +116,9 @@ class VehicleLink:
         section = self._config.vehicle
         feedback = self._config.gimbal.feedback
         url = await asyncio.to_thread(connection_of, section)
-        link = MavsdkLink(url, clock=self._clock, component_id=section.component_id, patient=True, sparing=True)
+        # idle streams are looked at once a second of real time, which a mission at a speed-up would take for silence
+        sparing = getattr(self._clock, "speedup", 1.0) <= 1.0
+        link = MavsdkLink(url, clock=self._clock, component_id=section.component_id, patient=True, sparing=sparing)
         async with contextlib.AsyncExitStack() as stack:
             stack.callback(self._forget)
             await stack.enter_async_context(link)
