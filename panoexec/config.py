@@ -210,7 +210,9 @@ class MqttSection(Section):
     @classmethod
     def _host_is_a_host(cls, value: str | None) -> str | None:
         if value is not None and not _HOST_NAME.fullmatch(value) and not _is_ipv6(value):
-            raise ValueError(f"{value!r} is not a host: a name or an address alone, without mqtt:// and without a port")
+            # what stands before an @ may be a password, which no message may repeat
+            shown = "what is given" if "@" in value else repr(value)
+            raise ValueError(f"{shown} is not a host: a name or an address alone, without mqtt:// and without a port")
         return value
 
     @field_validator("prefix")

@@ -1,9 +1,11 @@
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 
 from panoexec.config import Config, MqttSection, load_config
 from panoexec.errors import InputFileError
+from panoexec.validation import problem_lines
 
 EXAMPLE = Path(__file__).parents[2] / "config" / "panoexec.toml"
 
@@ -119,3 +121,11 @@ def test_a_bad_override_names_its_key(tmp_path: Path) -> None:
 )
 def test_hosts_are_names_or_addresses(host: str) -> None:
     assert MqttSection(host=host).host == host
+
+
+def test_a_password_in_the_wrong_place_is_not_repeated() -> None:
+    with pytest.raises(ValidationError) as caught:
+        MqttSection(host="drone:secret@broker.local")
+    lines = problem_lines(caught.value)
+    assert "is not a host" in lines[0]
+    assert "secret" not in lines[0]
