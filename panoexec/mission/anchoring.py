@@ -14,7 +14,10 @@ from panoexec.mission.guards import distance_m
 
 def anchor(flight: Flight) -> None:
     """Take what this process still lacks and the vehicle tells by now."""
-    record, status = flight.record, flight.vehicle.status
+    record = flight.record
+    if record.anchored and not math.isnan(record.reference_yaw_north_deg):
+        return
+    status = flight.vehicle.status
     lacks_place = not record.anchored and not math.isnan(status.latitude_deg)
     lacks_heading = math.isnan(record.reference_yaw_north_deg) and not math.isnan(status.heading_deg)
     if not lacks_place and not lacks_heading:
