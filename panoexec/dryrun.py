@@ -158,6 +158,7 @@ async def run_dry_run(
     extra = {
         "simulation": sim_settings.to_json(options.simulation),
         "images": options.images,
+        "reference": options.reference,
         "sitl": None if options.sitl is None else str(options.sitl),
         "connect": options.connect,
     }
@@ -214,7 +215,9 @@ async def resume_dry_run(
     except BaseException:
         await stored.journal.close()
         raise
-    return await _fly(stored, vehicle, config, images, "north", on_event, on_mission, note)
+    # only of weight where a process died before it could put its first event on disk
+    reference: Literal["north", "heading"] = "heading" if stored.extra.get("reference") == "heading" else "north"
+    return await _fly(stored, vehicle, config, images, reference, on_event, on_mission, note)
 
 
 def vehicle_under_test(simulation: SimConfig, *, sitl: Path | None, connect: str | None) -> VehicleUnderTest:

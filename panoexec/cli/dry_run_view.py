@@ -173,11 +173,10 @@ def show_summary(summary: DryRunSummary) -> None:
         proof = "complete as flown" if certificate.uncovered_fraction == 0 else "it has holes"
         verdict = "certified" if certificate.certified else "not certified: " + "; ".join(certificate.failures)
         facts.append(("panorama", f"{proof}; {verdict}"))
+    if math.isfinite(summary.limit_ratio):  # not of a mission that was over before it began to shoot
+        limit = f"physical limit {summary.limit_s:.1f} s, ratio {summary.limit_ratio:.2f}"
+        facts.append(("time", f"{summary.duration_s:.1f} s; {limit}"))
     facts += [
-        (
-            "time",
-            f"{summary.duration_s:.1f} s; physical limit {summary.limit_s:.1f} s, ratio {summary.limit_ratio:.2f}",
-        ),
         ("photos", f"{summary.photos} JPEGs"),
         ("directory", str(summary.directory)),
     ]
