@@ -248,6 +248,7 @@ class VehicleStatus:
         battery_frac: 0 to 1.
         position_ok: the estimator says that the global position is good.
         boot_count: how many reboots were noticed since the adapter started.
+        unhealthy: sensors of its attitude and height that it uses and calls unhealthy, in words.
     """
 
     connected: bool = False
@@ -262,6 +263,7 @@ class VehicleStatus:
     battery_frac: float = float("nan")
     position_ok: bool = False
     boot_count: int = 0
+    unhealthy: tuple[str, ...] = ()
 
 
 class Severity(IntEnum):

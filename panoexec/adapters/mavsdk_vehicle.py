@@ -27,6 +27,8 @@ _CONSTANT_POSITION: Final = 128
 _IN_AIR: Final = frozenset({2, 3, 4})
 """MAV_LANDED_STATE: in air, taking off, landing."""
 
+_SENSORS: Final = {1: "gyroscopes", 2: "accelerometers", 4: "compass", 8: "barometer", 0x200000: "attitude estimator"}
+"""MAV_SYS_STATUS_SENSOR, as far as attitude, heading and height rest on them; the position is judged by itself."""
 _POSITION_STALE_S: Final = 5.0
 _UNKNOWN_HEADING: Final = 65535
 
@@ -49,6 +51,7 @@ class MavsdkVehicle:
         self._position_s = -math.inf
         self._gps_ok = False
         self._estimator_ok: bool | None = None
+        self._unhealthy: tuple[str, ...] = ()
         self._place: tuple[float, float, float] | None = None
 
     @property
@@ -70,6 +73,7 @@ class MavsdkVehicle:
             battery_frac=self._battery_frac,
             position_ok=trusted and fresh,
             boot_count=self._link.boot_count,
+            unhealthy=self._unhealthy,
         )
 
     @property
@@ -153,9 +157,11 @@ class MavsdkVehicle:
         fields = message.fields
         remaining = int(fields["battery_remaining"])
         self._battery_frac = remaining / 100.0 if remaining >= 0 else math.nan
-        self._gps_ok = all(
-            int(fields[f"onboard_control_sensors_{kind}"]) & _GPS for kind in ("present", "enabled", "health")
+        present, enabled, health = (
+            int(fields[f"onboard_control_sensors_{kind}"]) for kind in ("present", "enabled", "health")
         )
+        self._gps_ok = bool(present & enabled & health & _GPS)
+        self._unhealthy = tuple(name for bit, name in _SENSORS.items() if present & enabled & ~health & bit)
 
     def _extended_sys_state(self, message: MavMessage) -> None:
         if message.component_id == AUTOPILOT:
@@ -182,4 +188,5 @@ class MavsdkVehicle:
         """What was true before a reboot may not be true after it."""
         self._estimator_ok = None
         self._gps_ok = False
+        self._unhealthy = ()
         self._position_s = -math.inf

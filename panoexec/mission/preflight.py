@@ -111,6 +111,8 @@ def preflight_problems(
     if camera.storage_free_images < needed:
         problems.append(f"the camera has room for {camera.storage_free_images:g} photos, {needed} are needed")
     problems += battery_problems(status.battery_frac, guards, expected_s=expected_s)
+    if status.unhealthy:
+        problems.append(f"the autopilot calls unhealthy what its attitude rests on: {', '.join(status.unhealthy)}")
     if guards.position_hold and not status.in_air:
         problems.append("the vehicle is not in the air: take off and hover")
     if guards.position_hold and not status.position_ok:

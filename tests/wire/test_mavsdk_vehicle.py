@@ -88,6 +88,24 @@ async def test_the_estimator_is_believed_before_the_gps(
         assert vehicle.status.position_ok is trusted
 
 
+async def test_sensors_that_are_used_and_unhealthy_are_named(autopilot: ScriptedPeer, link: MavsdkLink) -> None:
+    compass, barometer, flow, estimator = 4, 8, 0x40, 0x200000
+    all_of_them = compass | barometer | flow | estimator
+
+    def told(enabled: int, health: int, battery: int) -> mavlink.MAVLink_sys_status_message:
+        return mavlink.MAVLink_sys_status_message(
+            all_of_them, enabled, health, 0, 15000, 1000, battery, 0, 0, 0, 0, 0, 0
+        )
+
+    async with MavsdkVehicle(link) as vehicle:
+        autopilot.send(told(all_of_them, barometer, 51))
+        await eventually(lambda: vehicle.status.battery_frac == 0.51)
+        assert " and ".join(vehicle.status.unhealthy) == "compass and attitude estimator"
+        autopilot.send(told(all_of_them & ~compass, barometer | estimator, 52))  # one that is not used does not matter
+        await eventually(lambda: vehicle.status.battery_frac == 0.52)
+        assert not vehicle.status.unhealthy
+
+
 async def test_other_components_do_not_speak_for_the_vehicle(autopilot: ScriptedPeer, link: MavsdkLink) -> None:
     async with MavsdkVehicle(link) as vehicle:
         autopilot.send(sys_status(battery=10), component=100)

@@ -236,3 +236,18 @@ def test_a_hole_that_drifted_shots_left_is_not_called_complete(
     assert not world.record.missing()
     if state is S.INCOMPLETE:
         assert "as flown there is a hole of 2° at elevation -70.0°, azimuth 10.0°" in world.record.reason
+
+
+@pytest.mark.parametrize("heals", [True, False])
+def test_a_vehicle_that_calls_its_sensors_unhealthy_is_waited_for_a_moment(heals: bool) -> None:
+    async def script(world: World, mission: Mission) -> None:
+        await world.clock.sleep(2.0)
+        assert mission.record.state is S.PREFLIGHT
+        if heals:
+            world.vehicle.change(unhealthy=())
+
+    world = fly(script, lambda w: w.vehicle.change(unhealthy=("compass", "attitude estimator")))
+    assert world.record.state is (S.COMPLETE if heals else S.FAILED)
+    if not heals:
+        assert "unhealthy what its attitude rests on: compass, attitude estimator" in world.record.reason
+        assert not world.gimbal.commands
