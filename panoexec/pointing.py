@@ -151,7 +151,7 @@ class SettleTracker:
         if oldest is None or oldest.rotation is None or reading.rotation is None:
             return 0.0
         elapsed = reading.time_s - oldest.time_s
-        if elapsed < min(0.1, self._limits.settle_s):
+        if elapsed < min(0.1, self._limits.settle_s) or elapsed <= 0:
             return 0.0
         turned = pose_error(0.0, 0.0, oldest.rotation.T @ reading.rotation)
         return (

@@ -245,6 +245,12 @@ def test_the_worst_errors_keep_their_signs() -> None:
     assert [errors.pitch_deg, errors.yaw_deg] == pytest.approx([-0.08, -0.4])
 
 
+def test_two_readings_of_one_moment_tell_no_speed() -> None:
+    tracker = SettleTracker(target=TARGET, limits=SettleLimits(settle_s=0.0, max_rate_deg_s=2.0, max_gap_s=0.1))
+    tracker.add(_reading(1.0, rate=math.nan), _reading(1.0, yaw=0.1, rate=math.nan))
+    assert tracker.is_settled(1.0)
+
+
 def test_readings_taken_at_once_lead_to_what_they_lead_to_one_by_one() -> None:
     rng = np.random.default_rng(7)
     for _ in range(50):
