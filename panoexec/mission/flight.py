@@ -41,5 +41,5 @@ class Flight:
 
     def shots_left(self) -> int:
         """Shots that are still to be taken or to be proven."""
-        out = sum(1 for r in self.record.shots.values() if r.status in {ShotStatus.ACTIVE, ShotStatus.EXPOSED})
-        return len(self.queue) + out
+        out = (ShotStatus.ACTIVE, ShotStatus.EXPOSED)
+        return len(self.queue) + sum(1 for shot in self.record.shots.values() if shot.status in out)
