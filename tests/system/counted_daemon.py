@@ -6,6 +6,7 @@ Arguments: configuration, speed-up, file to write to.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import gc
 import json
 import os
@@ -24,10 +25,11 @@ from panoexec.service.daemon import Daemon
 
 
 def resting(daemon: Daemon) -> bool:
-    """Whether no mission is there any more, and the streams are back at the slow rates of a daemon that waits."""
+    """Whether the last mission's files are closed, and the streams are back at the slow rates of a daemon that waits."""
     link = daemon.vehicle._link
     return (
         not daemon.missions.busy
+        and not any("/missions/" in name for name in open_files())
         and link is not None
         and not link.streams.active
         and all(
@@ -37,6 +39,15 @@ def resting(daemon: Daemon) -> bool:
             if report.stream.name != "GIMBAL_DEVICE_ATTITUDE_STATUS"
         )
     )
+
+
+def open_files() -> list[str]:
+    """What the open descriptors lead to."""
+    out = []
+    for descriptor in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):  # that of the look itself
+            out.append(str(descriptor.readlink()))
+    return sorted(out)
 
 
 async def serve(config_file: Path, speedup: float, counts: Path) -> None:
@@ -58,7 +69,8 @@ async def serve(config_file: Path, speedup: float, counts: Path) -> None:
             "tasks": len(asyncio.all_tasks()),
             "threads": threading.active_count(),
             "native_threads": len(list(Path("/proc/self/task").iterdir())),
-            "files": len(list(Path("/proc/self/fd").iterdir())),
+            "files": len(files := open_files()),
+            "open": files,
             "objects": len(gc.get_objects()),
             "resting": resting(daemon),
             "kinds": Counter(type(one).__qualname__ for one in gc.get_objects()).most_common(200),
