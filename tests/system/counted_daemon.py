@@ -25,7 +25,7 @@ from panoexec.service.daemon import Daemon
 
 
 def resting(daemon: Daemon) -> bool:
-    """Whether the last mission's files are closed, and the streams are back at the slow rates of a daemon that waits."""
+    """Whether the last mission's files are closed, and the streams are slow again, as a daemon that waits has them."""
     link = daemon.vehicle._link
     return (
         not daemon.missions.busy
