@@ -36,6 +36,7 @@ class Usage:
 
     cpu_s: float
     resident_mb: float
+    peak_mb: float
     threads: int
     wakeups: int
 
@@ -88,7 +89,6 @@ def _idle(config: Path, folder: Path) -> tuple[float, Usage, Usage]:
     with _daemon(config, folder) as (process, told):
         told("vehicle ready")
         found_s = time.monotonic() - created_s
-        time.sleep(5.0)  # what is asked of the vehicle at the beginning has come
         began = usage(process.pid)
         time.sleep(IDLE_S)
         return found_s, began, usage(process.pid)
@@ -130,6 +130,7 @@ def usage(pid: int) -> Usage:
     return Usage(
         cpu_s=(int(fields[11]) + int(fields[12])) * _TICK_S,
         resident_mb=int(status["VmRSS"].split()[0]) * 1024 / 1e6,
+        peak_mb=int(status["VmHWM"].split()[0]) * 1024 / 1e6,
         threads=int(status["Threads"]),
         wakeups=wakeups,
     )

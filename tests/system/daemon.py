@@ -111,8 +111,7 @@ def write_config(folder: Path, broker: Broker, port: int, *, more: str = "", mqt
     config.write_text(
         f'[vehicle]\nconnection = "udpin://127.0.0.1:{port}"\n'
         f'[mqtt]\nhost = "127.0.0.1"\nport = {broker.port}\n{mqtt}[storage]\npath = "{folder}/data"\nmin_free_mb = 1\n'
-        # an idle daemon looks at the gimbal once a real second, which is SPEEDUP of its own
-        f"[guards]\nallowed_modes = []\nbattery_floor_frac = 0\nattitude_silence_s = {4 * SPEEDUP}\n{more}"
+        f"[guards]\nallowed_modes = []\nbattery_floor_frac = 0\n{more}"
     )
     return config
 

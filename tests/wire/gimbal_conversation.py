@@ -11,7 +11,6 @@ import json
 import math
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -109,6 +108,7 @@ class _StillGimbal:
     def __init__(self, port: int) -> None:
         self._peer = UdpPeer(port)
         self._heard: list[Heard] = []
+        self._aimed = threading.Event()
         threading.Thread(target=self._run, daemon=True).start()
 
     def at_gimbal(self) -> list[Heard]:
@@ -116,11 +116,8 @@ class _StillGimbal:
         return heard
 
     def wait_for_targets(self) -> None:
-        deadline = time.monotonic() + 60
-        while not any(item.name == "GIMBAL_DEVICE_SET_ATTITUDE" for item in self._heard):
-            if time.monotonic() > deadline:
-                raise SystemExit("the autopilot did not take to the gimbal")
-            time.sleep(0.1)
+        if not self._aimed.wait(60):
+            raise SystemExit("the autopilot did not take to the gimbal")
 
     def _run(self) -> None:
         beat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GIMBAL, 8, 0, 0, 4, 3)
@@ -132,6 +129,8 @@ class _StillGimbal:
         while True:
             heard = self._peer.listen(0.2)
             self._heard = self._heard + heard
+            if any(item.name == "GIMBAL_DEVICE_SET_ATTITUDE" for item in heard):
+                self._aimed.set()
             if heard:
                 asks = [h for h in heard if h.name == "COMMAND_LONG" and h.message.param1 == about.get_msgId()]
                 for message in (beat, level, *([about] if asks else [])):

@@ -97,27 +97,18 @@ async def test_a_sound_vehicle_is_found_whole(tmp_path: Path) -> None:
     assert " UTC, ours is " in found(document, "clock", "vehicle")["found"]
 
 
-async def poor_vehicle(folder: Path) -> None:
+async def poor_vehicle(folder: Path) -> Findings:
+    """A servo mount and a servo camera, and a configuration that asks for more."""
     port = free_udp_port()
     sim = SimConfig(port=port, speedup=SPEEDUP, mount="servo", camera_kind="servo")
     more = '[camera]\nevidence = "feedback_pin"\n[mission]\nmethod = "paper"\n'
     more += '[guards]\nallowed_modes = ["HOLD"]\nbattery_floor_frac = 0.99\n'
     async with running_simulator(sim):
-        findings = await examined(folder, port, more)
-    document = findings.document()
-    assert findings.exit_code == 3
-    feedback = found(document, "gimbal", "feedback")
-    assert (feedback["verdict"], feedback["found"][:5]) == ("warning", "body:")
-    assert "MNT1_TYPE = 6" in feedback["advice"]
-    evidence = found(document, "camera", "evidence")
-    assert (evidence["verdict"], evidence["found"]) == ("missing", "up to counted")
-    assert "CAM1_FEEDBAK_PIN" in evidence["advice"]
-    assert found(document, "vehicle", "flight mode")["verdict"] == "warning"
-    assert found(document, "vehicle", "battery")["verdict"] == "missing"
-    assert found(document, "broker", "address")["verdict"] == "note"
+        return await examined(folder, port, more)
 
 
-async def busy_px4(folder: Path) -> None:
+async def busy_px4(folder: Path) -> Findings:
+    """A PX4 whose gimbal somebody else has, and a nearly full card."""
     port = free_udp_port()
     sim = SimConfig(
         port=port,
@@ -128,15 +119,7 @@ async def busy_px4(folder: Path) -> None:
     )
     more = '[camera]\nprofile = "sony-a7r-iv-35mm"\n[mission]\nmethod = "paper"\n'
     async with running_simulator(sim):
-        findings = await examined(folder, port, more)
-    document = findings.document()
-    assert document["autopilot"] == "px4"
-    assert "MNT_MODE_OUT = 2" in found(document, "gimbal", "found")["found"]
-    control = found(document, "gimbal", "control")
-    assert control["verdict"] == "warning"
-    assert "system 255 component 190 has it; it was left there" in control["found"]
-    assert found(document, "camera", "storage")["found"] == "room for 8 photos"
-    assert found(document, "camera", "profile")["verdict"] == "warning"
+        return await examined(folder, port, more)
 
 
 async def test_what_is_poor_taken_or_wrong_is_told_with_what_to_set(tmp_path: Path) -> None:
@@ -144,8 +127,27 @@ async def test_what_is_poor_taken_or_wrong_is_told_with_what_to_set(tmp_path: Pa
     for name in ("poor", "px4"):
         (tmp_path / name).mkdir()
     async with asyncio.TaskGroup() as group:
-        group.create_task(poor_vehicle(tmp_path / "poor"), name="servos on ArduPilot")
-        group.create_task(busy_px4(tmp_path / "px4"), name="somebody else's gimbal on PX4")
+        poor = group.create_task(poor_vehicle(tmp_path / "poor"), name="servos on ArduPilot")
+        busy = group.create_task(busy_px4(tmp_path / "px4"), name="somebody else's gimbal on PX4")
+    document = poor.result().document()
+    assert poor.result().exit_code == 3
+    feedback = found(document, "gimbal", "feedback")
+    assert (feedback["verdict"], feedback["found"][:5]) == ("warning", "body:")
+    assert "MNT1_TYPE = 6" in feedback["advice"]
+    evidence = found(document, "camera", "evidence")
+    assert (evidence["verdict"], evidence["found"]) == ("missing", "up to counted")
+    assert "CAM1_FEEDBAK_PIN" in evidence["advice"]
+    assert found(document, "vehicle", "flight mode")["verdict"] == "warning"
+    assert found(document, "vehicle", "battery")["verdict"] == "missing"
+    assert found(document, "broker", "address")["verdict"] == "note"
+    document = busy.result().document()
+    assert document["autopilot"] == "px4"
+    assert "MNT_MODE_OUT = 2" in found(document, "gimbal", "found")["found"]
+    control = found(document, "gimbal", "control")
+    assert control["verdict"] == "warning"
+    assert "system 255 component 190 has it; it was left there" in control["found"]
+    assert found(document, "camera", "storage")["found"] == "room for 8 photos"
+    assert found(document, "camera", "profile")["verdict"] == "warning"
 
 
 async def test_without_an_autopilot_both_kinds_of_parameters_are_named(tmp_path: Path) -> None:

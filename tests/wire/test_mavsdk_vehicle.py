@@ -126,6 +126,9 @@ async def test_a_reboot_takes_the_position_away_until_it_is_told_again(
         autopilot.reboot()
         # the count is raised in the vendor's thread, what it means for the vehicle comes after it on the loop
         await eventually(lambda: vehicle.status.boot_count == 1 and not vehicle.status.position_ok, 10)
+        autopilot.send(ekf(16))
+        await eventually(lambda: vehicle.status.position_ok, 10)
+        assert vehicle.status.boot_count == 1
 
 
 async def test_the_pilot_is_told(autopilot: ScriptedPeer, link: MavsdkLink) -> None:
