@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from panoexec.angles import FloatArray
 from panoexec.optics import Camera
-from panoexec.sim.scene import Scene
+from panoexec.sim.photos.scene import Scene
 
 
 def expected_view(scene: Scene, camera: Camera, pose: FloatArray, width: int, height: int) -> FloatArray:

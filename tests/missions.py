@@ -9,7 +9,7 @@ from panoexec.angles import FloatArray
 from panoexec.experiment.capture import PointingErrors, write_capture
 from panoexec.optics import Camera
 from panoexec.planning.model import Band, Constraints, Plan, Shot, Tolerance
-from panoexec.sim.scene import Scene
+from panoexec.sim.photos.scene import Scene
 
 CAMERA = Camera(
     name="test",

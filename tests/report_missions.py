@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from panoexec.mission_dir import MissionDirectory
-from panoexec.sim.scene import procedural_scene
+from panoexec.sim.photos.scene import procedural_scene
+from panoexec.store.directory import MissionDirectory
 from tests.missions import BAND, CAMERA, ring_poses, write_mission
 
 START_UTC_S = 1.79e9

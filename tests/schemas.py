@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from panoexec.mqtt.asyncapi import document
+from panoexec.mqtt.spec.asyncapi import document
 
 DOCUMENT = document()
 STRICT = True

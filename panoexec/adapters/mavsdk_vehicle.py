@@ -12,10 +12,10 @@ from typing import Final, Self
 from mavsdk.plugins.action import Action
 from mavsdk.plugins.telemetry import FlightMode, Telemetry
 
-from panoexec.adapters.mavsdk_link import MavsdkLink
-from panoexec.adapters.message_hub import MavMessage
-from panoexec.adapters.stream_keeper import AUTOPILOT
-from panoexec.adapters.vendor import MAV_RESULTS
+from panoexec.adapters.link.mavsdk_errors import MAV_RESULTS
+from panoexec.adapters.link.mavsdk_link import MavsdkLink
+from panoexec.adapters.link.message_hub import MavMessage
+from panoexec.adapters.link.stream_keeper import AUTOPILOT
 from panoexec.devices import Severity, VehicleStatus
 from panoexec.errors import DeviceError
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from panoexec.config import MqttSection, load_config
 from panoexec.errors import InputFileError, UsageError
-from panoexec.validation import problem_lines
+from panoexec.inputs.config import MqttSection, load_config
+from panoexec.inputs.validation import problem_lines
 
 _OPTIONS = ("host", "port", "prefix", "protocol", "username", "password_file", "ca_file", "cert_file", "key_file")
 

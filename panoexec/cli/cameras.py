@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import argparse
 
-from panoexec.camera_profiles import CameraProfile, list_profiles, load_profile
 from panoexec.cli.output import print_facts, print_json, print_table
-from panoexec.planfile import camera_to_data
+from panoexec.inputs.camera_profiles import CameraProfile, list_profiles, load_profile
+from panoexec.inputs.plan_file import camera_to_data
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -24,8 +24,8 @@ from panoexec.cli.output import console, note, print_json
 from panoexec.cli.planning_options import positive
 from panoexec.cli.serve import DEFAULT_CONFIG, checked_config
 from panoexec.clock import SystemClock
-from panoexec.doctor.examination import examine
 from panoexec.doctor.findings import Findings, Verdict
+from panoexec.doctor.run_checks import examine
 from panoexec.logs import configure_logs
 
 _STYLES = {Verdict.OK: "green", Verdict.NOTE: "dim", Verdict.WARNING: "yellow", Verdict.MISSING: "bold red"}

@@ -21,7 +21,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from panoexec.camera_profiles import CameraProfile
 from panoexec.cli.dry_run_view import MissionView, show_summary
 from panoexec.cli.output import note, print_json
 from panoexec.cli.planning_options import (
@@ -35,19 +34,20 @@ from panoexec.cli.planning_options import (
     profile_of,
     timing_of,
 )
-from panoexec.dryrun import DryRunOptions, DryRunSummary, resume_dry_run, run_dry_run
+from panoexec.dryrun.autopilot import sitl_binary
+from panoexec.dryrun.run import DryRunOptions, DryRunSummary, resume_dry_run, run_dry_run
 from panoexec.errors import DependencyError, UsageError, to_install
+from panoexec.inputs.camera_profiles import CameraProfile
+from panoexec.inputs.plan_file import read_plan_file
 from panoexec.logs import configure_logs
+from panoexec.mission.log.states import MissionState
 from panoexec.mission.settings import MissionSettings
-from panoexec.planfile import read_plan_file
-from panoexec.planning.making import finished
+from panoexec.planning.make_plan import finished
 from panoexec.planning.model import GimbalLimits, Plan
 from panoexec.planning.request import check_request
 from panoexec.sim.config import SimConfig
 from panoexec.sim.options import add_vehicle_arguments, camera_of, config_of
-from panoexec.sim.scene import load_scene
-from panoexec.sitl.autopilot import sitl_binary
-from panoexec.states import MissionState
+from panoexec.sim.photos.scene import load_scene
 
 _MAX_PAUSE_S = 60.0
 """Nobody is there to say `resume`: what holds a dry-run for longer ends it (it can be resumed)."""

@@ -7,14 +7,14 @@ import sys
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from panoexec import events as ev
 from panoexec.cli.output import console, has_colours, minutes, note, print_facts
 from panoexec.cli.sphere_map import HEIGHT, WIDTH, Mark, SphereMap, marks_of
-from panoexec.dryrun import DryRunSummary
+from panoexec.dryrun.run import DryRunSummary
 from panoexec.mission.executor import Mission
+from panoexec.mission.log import events as ev
+from panoexec.mission.pointing.poses import read_pose
+from panoexec.planning.geometry.pose_error import pose_error
 from panoexec.planning.model import Plan, Shot
-from panoexec.planning.pose_error import pose_error
-from panoexec.pose_reading import read_pose
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType

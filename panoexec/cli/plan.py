@@ -13,8 +13,8 @@ import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from panoexec.camera_profiles import CameraProfile
 from panoexec.cli.output import minutes, note, percent, print_facts, print_json, print_table
+from panoexec.cli.plan_map import check_plot_path, plot_plan
 from panoexec.cli.planning_options import (
     add_camera_arguments,
     add_constraint_arguments,
@@ -29,12 +29,12 @@ from panoexec.cli.planning_options import (
 )
 from panoexec.errors import UsageError
 from panoexec.exports import FORMATS, export_plan
-from panoexec.planfile import plan_to_data, write_plan
-from panoexec.planning.duration import budget_problems, check_budget
+from panoexec.inputs.camera_profiles import CameraProfile
+from panoexec.inputs.plan_file import plan_to_data, write_plan
 from panoexec.planning.fit import what_would_fit
 from panoexec.planning.model import Certificate, Constraints, Plan
+from panoexec.planning.order.duration import budget_problems, check_budget
 from panoexec.planning.rows import row_table
-from panoexec.plotting import check_plot_path, plot_plan
 
 _DISTANCES_M = (10.0, 50.0, 100.0)
 

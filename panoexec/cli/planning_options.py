@@ -6,12 +6,12 @@ import argparse
 import math
 from dataclasses import replace
 
-from panoexec.camera_profiles import CameraProfile, load_profile
 from panoexec.errors import UsageError
+from panoexec.inputs.camera_profiles import CameraProfile, load_profile
 from panoexec.optics import Camera
-from panoexec.planning.making import METHODS, make_plan
+from panoexec.planning.make_plan import METHODS, make_plan
 from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Plan, Timing, Tolerance, Turning
-from panoexec.planning.sequence import ORDERS
+from panoexec.planning.order.shot_order import ORDERS
 
 DEFAULT_CAMERA = "dji-x5s-15mm"
 DEFAULT_OVERLAP = 0.15

@@ -17,8 +17,8 @@ import argparse
 from pathlib import Path
 
 from panoexec.cli.output import note, print_json
-from panoexec.mission_dir import existing_mission_directory
 from panoexec.report import Report, write_report
+from panoexec.store.directory import existing_mission_directory
 
 _SHOWN = 8
 

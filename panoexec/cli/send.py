@@ -23,9 +23,9 @@ from typing import Any
 from panoexec.cli.broker_options import add_broker_arguments, broker_of
 from panoexec.cli.output import note, print_facts, print_json
 from panoexec.cli.planning_options import positive
-from panoexec.config import MqttSection
 from panoexec.errors import UsageError
-from panoexec.mqtt.ground import GroundStation
+from panoexec.inputs.config import MqttSection
+from panoexec.mqtt.ground_station import GroundStation
 from panoexec.mqtt.requests import REQUESTS
 
 INTERMIXED = True

@@ -21,12 +21,12 @@ import panoexec.cli.lean  # noqa: F401  (first: see there)
 from panoexec.cli.one_heap import use_one_heap
 from panoexec.cli.planning_options import positive
 from panoexec.clock import SystemClock
-from panoexec.config import Config, load_config
+from panoexec.daemon.daemon import Daemon
+from panoexec.daemon.mission_request import configuration_problems
+from panoexec.daemon.sdnotify import SystemdNotifier
 from panoexec.errors import InputFileError, PanoexecError, UsageError
+from panoexec.inputs.config import Config, load_config
 from panoexec.logs import configure_logs
-from panoexec.sdnotify import SystemdNotifier
-from panoexec.service.daemon import Daemon
-from panoexec.service.wishes import configuration_problems
 
 DEFAULT_CONFIG = Path("/etc/panoexec/config.toml")
 EXIT_CONFIG = 78

@@ -13,10 +13,10 @@ import json
 import sys
 from typing import TYPE_CHECKING
 
-from panoexec.camera_profiles import load_profile
 from panoexec.cli.output import note
 from panoexec.cli.planning_options import add_camera_arguments
 from panoexec.errors import DependencyError, to_install
+from panoexec.inputs.camera_profiles import load_profile
 from panoexec.sim.config import DEFAULT_PORTS, CameraConfig, SimConfig
 from panoexec.sim.options import add_arguments as add_simulation_arguments
 from panoexec.sim.options import config_of

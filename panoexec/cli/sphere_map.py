@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panoexec.angles import rotation
-from panoexec.mission.record import MissionRecord, ShotRecord
-from panoexec.mission.standing import Standing, standing_of
+from panoexec.mission.log.record import MissionRecord, ShotRecord
+from panoexec.mission.log.shot_marks import Standing, standing_of
 from panoexec.optics import Camera
 from panoexec.planning.model import Shot
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 from panoexec.cli.output import completeness, console, note, print_facts, print_json, print_table
 from panoexec.errors import DependencyError, UsageError, to_install
-from panoexec.mission_dir import MissionDirectory
+from panoexec.store.directory import MissionDirectory
 
 if TYPE_CHECKING:
     from panoexec.stitching.mission import StitchInput

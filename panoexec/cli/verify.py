@@ -18,14 +18,14 @@ from pathlib import Path
 
 from panoexec.cli.output import note, print_facts, print_json
 from panoexec.cli.plan import certificate_facts, check_targets
+from panoexec.cli.plan_map import check_plot_path, plot_plan
 from panoexec.cli.planning_options import add_camera_arguments, add_constraint_arguments, constraints_of, profile_of
 from panoexec.errors import UsageError
-from panoexec.planfile import camera_to_data, certificate_to_data, read_plan_file, write_plan
-from panoexec.planning.certificate import certify
+from panoexec.inputs.plan_file import camera_to_data, certificate_to_data, read_plan_file, write_plan
+from panoexec.planning.baselines.published import PUBLISHED, published_plan
+from panoexec.planning.certificate.verdict import certify
 from panoexec.planning.model import Plan
-from panoexec.planning.published import PUBLISHED, published_plan
 from panoexec.planning.request import check_request
-from panoexec.plotting import check_plot_path, plot_plan
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -21,9 +21,9 @@ from panoexec.cli.broker_options import add_broker_arguments, broker_of
 from panoexec.cli.output import console, has_colours, note, print_json
 from panoexec.cli.planning_options import positive
 from panoexec.cli.watch_view import ENDED, Watched, fleet_view, mission_view
-from panoexec.config import MqttSection
 from panoexec.errors import LinkError
-from panoexec.mqtt.ground import GroundStation
+from panoexec.inputs.config import MqttSection
+from panoexec.mqtt.ground_station import GroundStation
 
 EXIT_INTERRUPTED = 130
 _AGAIN_S = 1.0

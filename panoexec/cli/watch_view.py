@@ -14,8 +14,8 @@ from rich.text import Text
 from panoexec.cli.output import minutes
 from panoexec.cli.sphere_map import HEIGHT, MARKS, WIDTH, Mark, SphereMap
 from panoexec.errors import InputFileError
-from panoexec.mission.standing import standings_from_text
-from panoexec.planfile import PlanFile, plan_from_data
+from panoexec.inputs.plan_file import PlanFile, plan_from_data
+from panoexec.mission.log.shot_marks import standings_from_text
 
 ENDED: Final = {"complete": 0, "incomplete": 1, "aborted": 1, "failed": 3}
 """States in which a mission is over, with the exit code of `watch`."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta
 from typing import Final
 
-from panoexec.config import Config
 from panoexec.doctor.findings import Findings
 from panoexec.errors import PanoexecError
+from panoexec.inputs.config import Config
 from panoexec.mqtt.certificates import certificate_validity
 from panoexec.mqtt.credentials import credential_problems
 from panoexec.mqtt.probe import probe_broker

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from panoexec.adapters.mavsdk_camera import CameraFound, MavsdkCamera
-from panoexec.adapters.mavsdk_link import MavsdkLink
-from panoexec.adapters.serial_shutter import SerialShutter
-from panoexec.config import Config
+from panoexec.adapters.camera.mavsdk_camera import CameraFound, MavsdkCamera
+from panoexec.adapters.camera.serial_shutter import SerialShutter
+from panoexec.adapters.link.mavsdk_link import MavsdkLink
+from panoexec.daemon.mission_request import configured_profile
 from panoexec.devices import Camera, EvidenceLevel
 from panoexec.doctor.advice import advise
 from panoexec.doctor.findings import Findings
 from panoexec.errors import DeviceError, PanoexecError
-from panoexec.service.wishes import configured_profile
+from panoexec.inputs.config import Config
 
 _ENOUGH_PHOTOS: Final = 100
 _EVIDENCE_S: Final = 10.0

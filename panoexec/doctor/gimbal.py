@@ -6,16 +6,16 @@ import asyncio
 from dataclasses import replace
 from typing import Final
 
-from panoexec.adapters.mavsdk_gimbal import MavsdkGimbal
-from panoexec.adapters.mavsdk_link import MavsdkLink
-from panoexec.config import Config
+from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
+from panoexec.adapters.link.mavsdk_link import MavsdkLink
+from panoexec.daemon.mission_request import gimbal_limits, wish_of
 from panoexec.doctor.advice import advise
 from panoexec.doctor.findings import Findings
 from panoexec.errors import DeviceError, PanoexecError
+from panoexec.inputs.config import Config
 from panoexec.mission.preflight import attitude_problems, limit_problems, limits_that_hold
 from panoexec.mqtt.requests import PlanRequest
 from panoexec.planning.model import GimbalLimits
-from panoexec.service.wishes import gimbal_limits, wish_of
 
 _PARAMETERS: Final = {"ardupilot": ("MNT1_TYPE",), "px4": ("MNT_MODE_IN", "MNT_MODE_OUT")}
 _KINDS: Final = {

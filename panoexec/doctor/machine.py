@@ -14,11 +14,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from panoexec.adapters.connection_url import parse_connection
-from panoexec.config import Config
+from panoexec.adapters.link.connection_url import parse_connection
 from panoexec.doctor.findings import Findings
 from panoexec.errors import UsageError
-from panoexec.mission_dir import mission_directories
+from panoexec.inputs.config import Config
+from panoexec.store.directory import mission_directories
 
 _SLOW_SYNC_S: Final = 0.25
 _SYNCS: Final = 5

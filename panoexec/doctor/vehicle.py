@@ -9,20 +9,20 @@ import time
 from datetime import UTC, datetime
 from typing import Final
 
-from panoexec.adapters.link_watch import DEFAULT_STREAMS
-from panoexec.adapters.mavsdk_gimbal import MavsdkGimbal
-from panoexec.adapters.mavsdk_link import MavsdkLink
+from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
+from panoexec.adapters.link.mavsdk_link import MavsdkLink
+from panoexec.adapters.link.serial_ports import connection_of
+from panoexec.adapters.link.stream_health import DEFAULT_STREAMS
+from panoexec.adapters.link.stream_keeper import AUTOPILOT
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
-from panoexec.adapters.serial_ports import connection_of
-from panoexec.adapters.stream_keeper import AUTOPILOT
 from panoexec.clock import Clock
-from panoexec.config import Config
 from panoexec.doctor.advice import advise
 from panoexec.doctor.camera import examine_camera
 from panoexec.doctor.findings import Findings
 from panoexec.doctor.gimbal import examine_control, examine_gimbal
-from panoexec.doctor.meters import Rate, RateMeter
+from panoexec.doctor.message_rates import Rate, RateMeter
 from panoexec.errors import DeviceError, LinkError
+from panoexec.inputs.config import Config
 
 _MEASURE_S: Final = 4.0
 _SETTLE_S: Final = 1.5

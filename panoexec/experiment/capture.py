@@ -16,11 +16,11 @@ import numpy as np
 
 from panoexec.angles import FloatArray, quaternion_from_rotation, rotation, yaw_pitch_roll
 from panoexec.files import write_atomically
-from panoexec.planfile import camera_to_data, write_plan
+from panoexec.inputs.plan_file import camera_to_data, write_plan
 from panoexec.planning.model import Plan, Shot, Tolerance
-from panoexec.sim.jpeg import PhotoMetadata, write_jpeg
-from panoexec.sim.render import Renderer
-from panoexec.sim.scene import Scene
+from panoexec.sim.photos.jpeg import PhotoMetadata, write_jpeg
+from panoexec.sim.photos.render import Renderer
+from panoexec.sim.photos.scene import Scene
 
 Spread: TypeAlias = Literal["uniform", "normal"]
 _START_UTC_S: Final = 1.79e9

@@ -8,9 +8,9 @@ from types import MappingProxyType
 from typing import Final
 
 from panoexec.errors import UsageError
-from panoexec.planning.making import make_plan
+from panoexec.planning.baselines.published import published_plan
+from panoexec.planning.make_plan import make_plan
 from panoexec.planning.model import Plan, Timing
-from panoexec.planning.published import published_plan
 
 PLANS: Final = ("proposed", "hdrpano", "certified")
 DEFAULT_WIDTH_PX: Final[Mapping[int, int]] = MappingProxyType({1: 640, 2: 420, 3: 520})

@@ -11,9 +11,9 @@ from typing import Final
 
 from panoexec.experiment.capture import PointingErrors, Spread, true_rotations
 from panoexec.experiment.cases import Case, plan_of
-from panoexec.planning.holes import coverage_holes
+from panoexec.planning.baselines.published import PAPER_TOLERANCE
+from panoexec.planning.certificate.holes import coverage_holes
 from panoexec.planning.model import NO_TOLERANCE, Plan
-from panoexec.planning.published import PAPER_TOLERANCE
 
 HORIZON_DEG: Final = 0.0
 

@@ -16,11 +16,11 @@ from panoexec.errors import UsageError
 from panoexec.experiment.capture import PointingErrors, Spread, true_rotations, write_capture
 from panoexec.experiment.cases import DEFAULT_WIDTH_PX, Case, plan_of
 from panoexec.files import write_atomically
+from panoexec.formats.hugin_pto import parse_pto
+from panoexec.planning.baselines.published import PAPER_TOLERANCE
 from panoexec.planning.model import Plan
-from panoexec.planning.published import PAPER_TOLERANCE
-from panoexec.pto import parse_pto
-from panoexec.sim.scene import DEFAULT_WIDTH_PX as SCENE_WIDTH_PX
-from panoexec.sim.scene import Scene, load_scene, procedural_scene
+from panoexec.sim.photos.scene import DEFAULT_WIDTH_PX as SCENE_WIDTH_PX
+from panoexec.sim.photos.scene import Scene, load_scene, procedural_scene
 from panoexec.stitching.mission import load_mission
 from panoexec.stitching.pipeline import Stitcher, StitchOptions, StitchResult
 from panoexec.stitching.tools import check_tools, disk_error

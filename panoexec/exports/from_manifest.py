@@ -12,7 +12,7 @@ from typing import Any
 from panoexec.angles import quaternion_from_rotation, rotation
 from panoexec.errors import InputFileError
 from panoexec.exports.model import ExportSet, ExportShot, local_name
-from panoexec.jpeg_header import read_jpeg_header
+from panoexec.formats.jpeg_header import read_jpeg_header
 from panoexec.optics import Camera
 
 

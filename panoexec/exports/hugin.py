@@ -6,7 +6,7 @@ import math
 
 from panoexec.errors import UsageError
 from panoexec.exports.model import ExportSet, ExportShot
-from panoexec.pto import PtoProject, pto_image, render_pto, turn_of_orientation
+from panoexec.formats.hugin_pto import PtoProject, pto_image, render_pto, turn_of_orientation
 
 
 def stored_size_px(exports: ExportSet) -> tuple[int, int]:

@@ -13,7 +13,7 @@ from panoexec.angles import rotation
 from panoexec.exports.hugin import canvas_px
 from panoexec.exports.model import ExportSet, ExportShot
 from panoexec.files import write_atomically
-from panoexec.xmp import Position, attitude_properties, gpano_properties, packet
+from panoexec.formats.xmp import Position, attitude_properties, gpano_properties, packet
 
 
 def sidecar_text(exports: ExportSet, shot: ExportShot) -> str:

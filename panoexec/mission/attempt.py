@@ -13,15 +13,15 @@ from panoexec.angles import yaw_pitch_roll
 from panoexec.clock import Clock
 from panoexec.devices import Camera, EvidenceLevel, Gimbal, PendingCapture
 from panoexec.errors import DeviceError
+from panoexec.mission.pointing.gate import SettleLimits, SettleTracker, Target, WindowVerdict, judge_window
+from panoexec.mission.pointing.heading import Turner
+from panoexec.mission.pointing.poses import PoseReader, read_pose, to_north
 from panoexec.mission.preflight import gimbal_limits
 from panoexec.mission.protocols import PhotoMemory
 from panoexec.mission.settings import MissionSettings
-from panoexec.mission.turning import Turner
 from panoexec.mission.waiting import until, within
-from panoexec.planning.duration import slew_time_s
 from panoexec.planning.model import Shot
-from panoexec.pointing import SettleLimits, SettleTracker, Target, WindowVerdict, judge_window
-from panoexec.pose_reading import PoseReader, read_pose, to_north
+from panoexec.planning.order.duration import slew_time_s
 
 T = TypeVar("T")
 

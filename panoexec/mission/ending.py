@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from panoexec import events as ev
-from panoexec.mission.flight import Flight
+from panoexec.mission.context import Flight
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.states import MissionState
 from panoexec.mission.waiting import until
 from panoexec.planning.model import Certificate, Hole
-from panoexec.states import MissionState
 
 
 class Ending:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from panoexec.devices import CaptureEvidence, EvidenceLevel, PendingCapture
 from panoexec.errors import DeviceError
-from panoexec.events import Photo
+from panoexec.mission.log.events import Photo
 
 
 def first_photos(trigger_utc_s: Sequence[float], captures: Sequence[PendingCapture]) -> tuple[Photo, ...]:

@@ -7,31 +7,31 @@ import math
 from collections.abc import Sequence
 from typing import Literal
 
-from panoexec import events as ev
 from panoexec.clock import Clock
 from panoexec.devices import Camera, Gimbal, Vehicle
 from panoexec.errors import MissionError
-from panoexec.mission.anchoring import anchor, tell_if_moved
 from panoexec.mission.attempt import Shooter
-from panoexec.mission.control import Control, Stop
+from panoexec.mission.context import Flight
 from panoexec.mission.ending import Ending
-from panoexec.mission.flight import Flight
+from panoexec.mission.eta import Pace
+from panoexec.mission.guard_monitor import Holding
 from panoexec.mission.guards import Guard, flight_guards
-from panoexec.mission.holding import Holding
-from panoexec.mission.pace import Pace
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.record import MissionRecord, ShotStatus
+from panoexec.mission.log.recorder import Recorder
+from panoexec.mission.log.states import FINISHED, MissionState
+from panoexec.mission.mission_requests import Control, Stop
+from panoexec.mission.operator_commands import Verbs
+from panoexec.mission.pointing.heading import Turner
 from panoexec.mission.preflight import battery_warning, preflight_problems
 from panoexec.mission.protocols import Journal, Verifier
-from panoexec.mission.record import MissionRecord, ShotStatus
-from panoexec.mission.recorder import Recorder
 from panoexec.mission.recovery import settle_open_attempts
+from panoexec.mission.reference_frame import anchor, tell_if_moved
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.shooting import Shooting
 from panoexec.mission.shot_queue import ShotQueue
-from panoexec.mission.turning import Turner
-from panoexec.mission.verbs import Verbs
 from panoexec.mission.waiting import first_failure, unbroken, until
 from panoexec.planning.model import Certificate, Plan
-from panoexec.states import FINISHED, MissionState
 
 PREFLIGHT_S = 5.0
 """How long preflight waits for problems to go away by themselves (a stream that has just been asked for)."""

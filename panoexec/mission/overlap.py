@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from panoexec.events import MeasuredPose
-from panoexec.mission.flight import Flight
+from panoexec.mission.context import Flight
+from panoexec.mission.log.events import MeasuredPose
 
 
 async def overlaps_hold(flight: Flight, shot: int, measured: MeasuredPose | None) -> bool:

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 from panoexec.angles import wrap_180
 from panoexec.devices import AttitudeSample, Camera, Gimbal, Vehicle
+from panoexec.mission.pointing.poses import GIMBAL_FAILURES
 from panoexec.mission.settings import GuardSettings, MissionSettings
 from panoexec.planning.model import GimbalLimits, Shot
-from panoexec.planning.turns import PanReach
-from panoexec.pose_reading import GIMBAL_FAILURES
+from panoexec.planning.order.vehicle_yaw import PanReach
 
 PILOTS_NAMES = {"OFFBOARD": "OFFBOARD (ArduPilot: GUIDED)", "HOLD": "HOLD (PX4: Hold)"}
 """Flight modes as pilots know them, by MAVSDK's names."""

@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 
 from panoexec.angles import FloatArray
 from panoexec.devices import Recollection
-from panoexec.events import Event
+from panoexec.mission.log.events import Event
 from panoexec.planning.model import Certificate, Shot
 
 

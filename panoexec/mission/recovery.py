@@ -11,14 +11,14 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from panoexec import events as ev
 from panoexec.devices import CaptureEvidence, EvidenceLevel, Recollection, RememberedPhoto
 from panoexec.errors import DeviceError
 from panoexec.mission import evidence
-from panoexec.mission.flight import Flight
+from panoexec.mission.context import Flight
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.record import AttemptRecord, Verdict
 from panoexec.mission.overlap import overlaps_hold
 from panoexec.mission.protocols import PhotoMemory
-from panoexec.mission.record import AttemptRecord, Verdict
 from panoexec.mission.waiting import until, within
 
 RECALL_S: Final = 6.0

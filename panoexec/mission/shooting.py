@@ -8,17 +8,17 @@ from collections.abc import Sequence
 
 import structlog
 
-from panoexec import events as ev
 from panoexec.devices import EvidenceLevel, PendingCapture
 from panoexec.mission import evidence
 from panoexec.mission.attempt import Exposure, NotSettled, Settled, Shooter
-from panoexec.mission.flight import Flight
-from panoexec.mission.holding import Holding
+from panoexec.mission.context import Flight
+from panoexec.mission.guard_monitor import Holding
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.states import MissionState
 from panoexec.mission.overlap import overlaps_hold
+from panoexec.mission.pointing.gate import WindowVerdict
 from panoexec.mission.shot_queue import Decision, Task
 from panoexec.mission.waiting import until
-from panoexec.pointing import WindowVerdict
-from panoexec.states import MissionState
 
 
 class Shooting:

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from panoexec.angles import FloatArray, angle_between, rotation, wrap_180
-from panoexec.planning.certificate import certify_poses
-from panoexec.planning.holes import HoleRegion, coverage_holes
+from panoexec.planning.certificate.holes import HoleRegion, coverage_holes
+from panoexec.planning.certificate.verdict import certify_poses
 from panoexec.planning.model import NO_TOLERANCE, Certificate, Constraints, Plan, Shot
 
 NO_ROW = -1

@@ -14,7 +14,7 @@ import aiomqtt
 import structlog
 from paho.mqtt.properties import Properties
 
-from panoexec.config import MqttSection
+from panoexec.inputs.config import MqttSection
 from panoexec.mqtt.certificates import check_dates
 from panoexec.mqtt.credentials import read_password, tls_context
 

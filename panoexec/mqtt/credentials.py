@@ -6,8 +6,8 @@ import ssl
 import stat
 from pathlib import Path
 
-from panoexec.config import MqttSection
 from panoexec.errors import UsageError
+from panoexec.inputs.config import MqttSection
 
 
 def read_password(settings: MqttSection) -> str | None:

@@ -20,8 +20,8 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from panoexec.config import MqttSection
 from panoexec.errors import PanoexecError
+from panoexec.inputs.config import MqttSection
 from panoexec.mqtt.certificates import explained
 from panoexec.mqtt.client import CONNECT_S, BrokerClient, broker_client
 from panoexec.mqtt.incoming import Inbox, Incoming, incoming_of

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field
 
+from panoexec.mission.log.states import MissionState
 from panoexec.mqtt.requests import ErrorCode, Payload, RefusedRequestError, Transaction
-from panoexec.states import MissionState
 
 
 class ErrorFields(Payload):

@@ -9,8 +9,8 @@ from typing import Any, Final
 
 import aiomqtt
 
-from panoexec.config import MqttSection
 from panoexec.errors import LinkError
+from panoexec.inputs.config import MqttSection
 from panoexec.mqtt.certificates import explained
 from panoexec.mqtt.client import CONNECT_S, broker_client
 from panoexec.mqtt.topics import Topics

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from panoexec.errors import PlanningError
-from panoexec.planning.duration import budget_problems
 from panoexec.planning.model import Constraints, Plan
+from panoexec.planning.order.duration import budget_problems
 
 _OVERLAP_STEP = 0.01
 _ELEVATION_STEP_DEG = 1.0

@@ -17,10 +17,10 @@ from typing import Final, Literal
 
 from panoexec.errors import PanoexecError, PlanningError, UsageError
 from panoexec.optics import Camera
-from panoexec.planning.making import finished, make_plan
+from panoexec.planning.make_plan import finished, make_plan
 from panoexec.planning.model import Constraints, Plan, Timing
+from panoexec.planning.order.shot_order import Order
 from panoexec.planning.request import check_request
-from panoexec.planning.sequence import Order
 
 _NICE: Final = 5
 _PR_SET_PDEATHSIG: Final = 1

@@ -9,8 +9,8 @@ import numpy as np
 
 from panoexec.angles import wrap_180
 from panoexec.optics import Camera
+from panoexec.planning.geometry.overlap import pairwise_overlap, union_overlap
 from panoexec.planning.model import Plan, Shot, shot_rotations
-from panoexec.planning.overlap import pairwise_overlap, union_overlap
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,11 +10,11 @@ from typing import Final
 
 from panoexec.errors import InputFileError
 from panoexec.files import write_atomically
-from panoexec.mission_dir import MissionDirectory
 from panoexec.report.data import page_data
 from panoexec.report.page import render_page
 from panoexec.report.panorama import best_picture
 from panoexec.report.source import PhotoFile, read_source
+from panoexec.store.directory import MissionDirectory
 
 __all__ = ["AT_ONCE_S", "Report", "write_report"]
 

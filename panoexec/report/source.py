@@ -10,14 +10,14 @@ from typing import Any
 
 from panoexec.codec import decode
 from panoexec.errors import UsageError
-from panoexec.events import Event
 from panoexec.exports.model import local_name
-from panoexec.journal import read_journal
-from panoexec.jpeg_header import read_jpeg_header
-from panoexec.manifest import read_manifest
+from panoexec.formats.jpeg_header import read_jpeg_header
+from panoexec.inputs.plan_file import PlanFile, read_plan_file
+from panoexec.mission.log.events import Event
 from panoexec.mission.settings import MissionSettings
-from panoexec.mission_dir import MissionDirectory
-from panoexec.planfile import PlanFile, read_plan_file
+from panoexec.store.directory import MissionDirectory
+from panoexec.store.journal import read_journal
+from panoexec.store.manifest import read_manifest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

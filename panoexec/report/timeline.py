@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Final
 
-from panoexec import events as ev
-from panoexec.mission.limit import limit_steps_s
+from panoexec.mission.ideal_duration import limit_steps_s
+from panoexec.mission.log import events as ev
 from panoexec.mission.settings import MissionSettings
-from panoexec.planning.duration import slew_time_s
 from panoexec.planning.model import GimbalLimits, Shot
+from panoexec.planning.order.duration import slew_time_s
 from panoexec.report.source import Source
 
 _INTERVAL_RULES_S: Final = 0.15

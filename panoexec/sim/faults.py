@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from panoexec.errors import UsageError
-from panoexec.sim.world import seeded
+from panoexec.sim.physics.world import seeded
 
 
 class Kind(StrEnum):

@@ -14,14 +14,14 @@ from typing import Any
 
 from panoexec.errors import LinkError, UsageError
 from panoexec.sim.config import DEFAULT_PORTS, SimConfig
-from panoexec.sim.darkroom import Darkroom
 from panoexec.sim.faults import AUTOPILOT_FAULTS
-from panoexec.sim.following import AHEAD_S, SILENT_S, AutopilotTime
-from panoexec.sim.outlet import Outlet
+from panoexec.sim.mavlink.outlet import Outlet
+from panoexec.sim.mavlink.wire import Message, TcpLink, UdpLink, attach
 from panoexec.sim.pacing import Leash
+from panoexec.sim.photos.darkroom import Darkroom
+from panoexec.sim.physics.following import AHEAD_S, SILENT_S, AutopilotTime
+from panoexec.sim.physics.world import SimClock, TruthLog
 from panoexec.sim.simulation import Simulation
-from panoexec.sim.wire import Message, TcpLink, UdpLink, attach
-from panoexec.sim.world import SimClock, TruthLog
 
 _IDLE_S = 0.001
 _DRAIN_S = 60.0

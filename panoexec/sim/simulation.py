@@ -8,18 +8,18 @@ from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
-from panoexec.sim.airframe import Airframe
-from panoexec.sim.camera import Exposure
-from panoexec.sim.camera_component import Fix
 from panoexec.sim.config import SimConfig
-from panoexec.sim.darkroom import Negative
 from panoexec.sim.faults import Faults
-from panoexec.sim.gimbal import GimbalPhysics, quaternion
-from panoexec.sim.payload import Payload
-from panoexec.sim.trigger import CameraTrigger
-from panoexec.sim.vehicle import THIEF, Vehicle
-from panoexec.sim.wire import Link, LocalLink, Receiver
-from panoexec.sim.world import Repeater, SimClock, Timeline, TruthLog
+from panoexec.sim.mavlink.camera_component import Fix
+from panoexec.sim.mavlink.payload import Payload
+from panoexec.sim.mavlink.trigger import CameraTrigger
+from panoexec.sim.mavlink.vehicle import THIEF, Vehicle
+from panoexec.sim.mavlink.wire import Link, LocalLink, Receiver
+from panoexec.sim.photos.darkroom import Negative
+from panoexec.sim.physics.airframe import Airframe
+from panoexec.sim.physics.camera import Exposure
+from panoexec.sim.physics.gimbal import GimbalPhysics, quaternion
+from panoexec.sim.physics.world import Repeater, SimClock, Timeline, TruthLog
 
 _CHUNK_S = 0.02
 """Longest stretch of wall time in which the simulation does not look at its sockets."""

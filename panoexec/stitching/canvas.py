@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panoexec.angles import FloatArray, direction, rotation
-from panoexec.pto import PtoProject
+from panoexec.formats.hugin_pto import PtoProject
 
 BYTES_PER_PIXEL = 180
 """Peak memory of blending a block, by its pixels, margin included: 134 to 140 measured on 25 images of 60°, and eight

@@ -11,8 +11,8 @@ from typing import Final
 import PIL.Image
 
 from panoexec.files import write_atomically
+from panoexec.formats.hugin_pto import ControlPoint, PtoProject, parse_pto, point_arrays, render_pto
 from panoexec.planning.model import Tolerance
-from panoexec.pto import ControlPoint, PtoProject, parse_pto, point_arrays, render_pto
 from panoexec.stitching.adjustment import Lens, Points, separation_deg
 from panoexec.stitching.tools import StitchError, ToolError, disk_error, run_tool
 

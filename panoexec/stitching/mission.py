@@ -12,13 +12,13 @@ import PIL.Image
 from panoexec.exports.from_manifest import export_set
 from panoexec.exports.hugin import hugin_project
 from panoexec.exports.model import ExportShot
-from panoexec.jpeg_header import read_jpeg_header
-from panoexec.manifest import read_manifest
-from panoexec.mission_dir import existing_mission_directory
-from panoexec.planfile import read_plan_file
+from panoexec.formats.hugin_pto import PtoProject
+from panoexec.formats.jpeg_header import read_jpeg_header
+from panoexec.inputs.plan_file import read_plan_file
 from panoexec.planning.model import AngleBox, Band, Tolerance
-from panoexec.pto import PtoProject
 from panoexec.stitching.tools import StitchError
+from panoexec.store.directory import existing_mission_directory
+from panoexec.store.manifest import read_manifest
 
 _WHOLE_SPHERE = Band(elevation_min_deg=-90.0, elevation_max_deg=90.0)
 _USUAL_TOLERANCE = Tolerance(pitch_deg=0.1, roll_deg=0.1, yaw_deg=0.7)

@@ -26,14 +26,14 @@ import PIL.Image
 
 from panoexec.errors import UsageError
 from panoexec.files import write_atomically, write_atomically_with
-from panoexec.pto import PtoProject, parse_pto, render_pto
+from panoexec.formats.hugin_pto import PtoProject, parse_pto, render_pto
+from panoexec.formats.xmp import gpano_properties, packet, with_xmp
 from panoexec.stitching.adjustment import Adjustment, Lens, Points, adjust, spread_points, tied_group
 from panoexec.stitching.completeness import Completeness, Ground, PanoramaHole
 from panoexec.stitching.matching import as_control_points, believable, find_points
 from panoexec.stitching.mission import StitchInput
 from panoexec.stitching.rendering import PanoramaRenderer, Rendered
 from panoexec.stitching.tools import ToolError, check_tools, disk_error
-from panoexec.xmp import gpano_properties, packet, with_xmp
 
 FORMAT: Final = "panoexec.stitch/1"
 STEPS: Final = ("match", "align", "render", "finish")

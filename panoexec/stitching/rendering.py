@@ -18,7 +18,7 @@ import PIL.Image
 from numpy.typing import NDArray
 
 from panoexec.files import write_atomically
-from panoexec.pto import PtoProject, render_pto
+from panoexec.formats.hugin_pto import PtoProject, render_pto
 from panoexec.stitching.blending import Patch, blend
 from panoexec.stitching.canvas import Block, View, block_side, blocks, image_depth, images_in_view, turned, view_of
 from panoexec.stitching.completeness import BlockCount, Completeness, CompletenessCounter, Ground

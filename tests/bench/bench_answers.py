@@ -17,8 +17,8 @@ from pathlib import Path
 import aiomqtt
 import numpy as np
 
-from panoexec.config import MqttSection
-from panoexec.mqtt.ground import GroundStation
+from panoexec.inputs.config import MqttSection
+from panoexec.mqtt.ground_station import GroundStation
 from panoexec.sim.config import SimConfig
 from panoexec.sim.process import free_udp_port, running_simulator
 from tests.bench.harness import Measurement

@@ -20,8 +20,8 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from panoexec.camera_profiles import load_profile
-from panoexec.planfile import plan_to_data
+from panoexec.inputs.camera_profiles import load_profile
+from panoexec.inputs.plan_file import plan_to_data
 from panoexec.planning.model import Band, Constraints, Plan, Shot, Tolerance
 from panoexec.sim.config import AirframeConfig, CameraConfig, SimConfig
 from panoexec.sim.process import free_udp_port, running_simulator

@@ -10,12 +10,12 @@ import numpy as np
 
 from panoexec.angles import FloatArray, direction, rotation
 from panoexec.optics import Camera
-from panoexec.planning.certificate import certify, certify_poses
-from panoexec.planning.coverage import is_covered
-from panoexec.planning.domain import Domain
+from panoexec.planning.baselines.published import published_plan
+from panoexec.planning.certificate.coverage import is_covered
+from panoexec.planning.certificate.robust_footprint import robust_cores
+from panoexec.planning.certificate.verdict import certify, certify_poses
+from panoexec.planning.geometry.domain import Domain
 from panoexec.planning.model import NO_TOLERANCE, Band, Constraints, Plan, Tolerance
-from panoexec.planning.published import published_plan
-from panoexec.planning.robust import robust_cores
 from tests.bench.harness import Measurement, best_time
 
 _SAMPLE_STEP_DEG = 1.0

@@ -22,9 +22,9 @@ from typing import Any
 import aiomqtt
 import numpy as np
 
-from panoexec.config import MqttSection
+from panoexec.inputs.config import MqttSection
 from panoexec.mqtt.client import broker_client
-from panoexec.mqtt.ground import GroundStation
+from panoexec.mqtt.ground_station import GroundStation
 from tests.bench.harness import Measurement
 from tests.wire.broker import Broker, running_broker
 

@@ -8,11 +8,11 @@ import numpy as np
 
 from panoexec.angles import rotation
 from panoexec.optics import Camera
+from panoexec.planning.baselines.paper import pan_step_deg, plan_paper, tilt_step_deg
+from panoexec.planning.baselines.published import A6000_35MM, X5S_15MM, X5S_45MM
+from panoexec.planning.baselines.raycast import paper_grid, raycast_overlap
+from panoexec.planning.geometry.overlap import pairwise_overlap
 from panoexec.planning.model import Band, Constraints
-from panoexec.planning.overlap import pairwise_overlap
-from panoexec.planning.paper import pan_step_deg, plan_paper, tilt_step_deg
-from panoexec.planning.published import A6000_35MM, X5S_15MM, X5S_45MM
-from panoexec.planning.raycast import paper_grid, raycast_overlap
 from tests.bench.harness import Measurement, best_time
 
 _PAIRS = 20_000

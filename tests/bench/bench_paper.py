@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from panoexec.planning.certificate import certify
+from panoexec.planning.baselines.paper import plan_paper
+from panoexec.planning.baselines.published import PUBLISHED, published_plan
+from panoexec.planning.certificate.verdict import certify
 from panoexec.planning.model import NO_TOLERANCE
-from panoexec.planning.paper import plan_paper
-from panoexec.planning.published import PUBLISHED, published_plan
 from tests.bench.harness import Measurement
 from tests.unit.planning.paper_variants import guaranteed_plan, literal_plan
 

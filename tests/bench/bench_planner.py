@@ -7,10 +7,10 @@ import resource
 import time
 from collections.abc import Iterator
 
-from panoexec.camera_profiles import load_profile
+from panoexec.inputs.camera_profiles import load_profile
 from panoexec.optics import Camera
 from panoexec.planning.model import NO_TOLERANCE, Band, Constraints, Tolerance
-from panoexec.planning.search import plan_certified
+from panoexec.planning.search.planner import plan_certified
 from tests.bench.harness import Measurement
 
 _LENSES = ((67, 30.9, 20.64), (133, 15.45, 10.32), (200, 10.3, 6.88), (400, 5.15, 3.44), (600, 3.433, 2.293))

@@ -14,14 +14,14 @@ from pathlib import Path
 
 from panoexec.cli.serve import checked_config
 from panoexec.clock import SystemClock
-from panoexec.config import Config
+from panoexec.daemon.daemon import Daemon
+from panoexec.daemon.sdnotify import SystemdNotifier
+from panoexec.daemon.vehicle_link import VehicleLink
 from panoexec.devices import VehicleStatus
+from panoexec.inputs.config import Config
 from panoexec.logs import configure_logs
-from panoexec.mission_session import Devices
 from panoexec.mqtt.messages import LinkFields, LinksFields
-from panoexec.sdnotify import SystemdNotifier
-from panoexec.service.daemon import Daemon
-from panoexec.service.vehicle_link import VehicleLink
+from panoexec.store.session import Devices
 from tests.unit.fakes.devices import FakeCamera, FakeGimbal, FakeVehicle
 
 

@@ -18,10 +18,10 @@ from pathlib import Path
 
 from panoexec.cli.serve import checked_config
 from panoexec.clock import SystemClock
+from panoexec.daemon.daemon import Daemon
+from panoexec.daemon.sdnotify import SystemdNotifier
 from panoexec.files import write_atomically
 from panoexec.logs import configure_logs
-from panoexec.sdnotify import SystemdNotifier
-from panoexec.service.daemon import Daemon
 
 
 def resting(daemon: Daemon) -> bool:

@@ -14,12 +14,12 @@ from pathlib import Path
 
 import structlog
 
-from panoexec.dryrun import DryRunOptions, DryRunSummary, resume_dry_run, run_dry_run
-from panoexec.events import Event
+from panoexec.dryrun.run import DryRunOptions, DryRunSummary, resume_dry_run, run_dry_run
+from panoexec.inputs.plan_file import read_plan_file
+from panoexec.mission.log.events import Event
 from panoexec.mission.settings import GuardSettings, MissionSettings
-from panoexec.mission_dir import mission_directories
-from panoexec.planfile import read_plan_file
 from panoexec.sim.config import SimConfig
+from panoexec.store.directory import mission_directories
 
 
 def _tell(event: Event) -> None:

@@ -23,11 +23,11 @@ from typing import Any
 import pytest
 
 from panoexec.sim.process import free_udp_port
+from tests.repository import ROOT
 from tests.system.daemon import SMALL, ground_station
 from tests.system.systemd import CONFIG, STATE, UNIT, nothing_left, running, sh, show, wait, why_not
 from tests.wire.broker import Broker, needs_mosquitto, running_broker
 
-ROOT = Path(__file__).parents[2]
 DROP_IN = Path(f"/run/systemd/system/{UNIT}.d/test.conf")
 WATCHDOG_S = 6
 EDITED = "# edited by the administrator of this machine\n"

@@ -15,7 +15,7 @@ import pytest
 
 from panoexec.angles import rotation_from_quaternion
 from panoexec.cli.app import run
-from panoexec.planning.pose_error import pose_error
+from panoexec.planning.geometry.pose_error import pose_error
 from tests.system.dry_runs import DRY_RUN, accepted, dry_run, flown, manifest_of
 
 # the verb sets up logging for its process

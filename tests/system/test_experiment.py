@@ -10,9 +10,9 @@ import pytest
 
 from panoexec.cli.app import run
 from panoexec.experiment import running
+from panoexec.planning.baselines.published import PAPER_TOLERANCE
 from panoexec.planning.model import Constraints, Plan, Shot
-from panoexec.planning.published import PAPER_TOLERANCE
-from panoexec.sim.scene import procedural_scene
+from panoexec.sim.photos.scene import procedural_scene
 from tests.missions import BAND, CAMERA, ring_poses
 
 pytestmark = pytest.mark.skipif(

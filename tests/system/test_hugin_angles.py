@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from panoexec.angles import quaternion_from_rotation, rotation
 from panoexec.exports import ExportSet, ExportShot, write_exports
+from panoexec.formats.hugin_pto import parse_pto, render_pto
 from panoexec.optics import Camera
-from panoexec.pto import parse_pto, render_pto
-from panoexec.sim.render import Renderer
-from panoexec.sim.scene import Scene, procedural_scene
+from panoexec.sim.photos.render import Renderer
+from panoexec.sim.photos.scene import Scene, procedural_scene
 
 pytestmark = pytest.mark.skipif(
     shutil.which("nona") is None, reason="nona is not installed: apt-get install hugin-tools"

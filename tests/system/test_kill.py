@@ -16,15 +16,15 @@ from typing import Any
 
 import pytest
 
-from panoexec.events import Event
-from panoexec.journal import SqliteJournal
-from panoexec.mission.record import MissionRecord, Verdict
-from panoexec.mission_dir import mission_directories
-from panoexec.planfile import write_plan
+from panoexec.inputs.plan_file import write_plan
+from panoexec.mission.log.events import Event
+from panoexec.mission.log.record import MissionRecord, Verdict
+from panoexec.mission.log.states import MissionState
 from panoexec.planning.model import Band, Constraints, Plan, Shot, Tolerance
 from panoexec.sim.config import AirframeConfig, CameraConfig, SimConfig
 from panoexec.sim.process import free_udp_port, running_simulator
-from panoexec.states import MissionState
+from panoexec.store.directory import mission_directories
+from panoexec.store.journal import SqliteJournal
 
 pytest.importorskip("pymavlink")
 

@@ -15,18 +15,18 @@ from pathlib import Path
 
 import pytest
 
-from panoexec.adapters.mavsdk_camera import MavsdkCamera
-from panoexec.adapters.mavsdk_gimbal import MavsdkGimbal
-from panoexec.adapters.mavsdk_link import MavsdkLink
-from panoexec.adapters.mavsdk_pilot import MavsdkPilot
+from panoexec.adapters.camera.mavsdk_camera import MavsdkCamera
+from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
+from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import SystemClock
 from panoexec.devices import EvidenceLevel
-from panoexec.planning.pose_error import pose_error
-from panoexec.pose_reading import read_pose
+from panoexec.dryrun.autopilot import BINARY_VARIABLE, SitlOptions, free_udp_ports, running_sitl, sitl_binary
+from panoexec.dryrun.pilot import MavsdkPilot
+from panoexec.dryrun.rigs import SitlVehicle
+from panoexec.mission.pointing.poses import read_pose
+from panoexec.planning.geometry.pose_error import pose_error
 from panoexec.sim.config import SimConfig
-from panoexec.sitl.autopilot import BINARY_VARIABLE, SitlOptions, free_udp_ports, running_sitl, sitl_binary
-from panoexec.sitl.rigs import SitlVehicle
 from tests.wire.scripted_peer import eventually
 
 SPEEDUP = 4.0

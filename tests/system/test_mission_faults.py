@@ -17,13 +17,14 @@ import pytest
 
 pytest.importorskip("pymavlink")
 
-from panoexec.dryrun import DryRunOptions, DryRunSummary, resume_dry_run, run_dry_run
-from panoexec.events import Event, MissionPaused, ShotAccepted
+from panoexec.dryrun.run import DryRunOptions, DryRunSummary, resume_dry_run, run_dry_run
+from panoexec.mission.log.events import Event, MissionPaused, ShotAccepted
+from panoexec.mission.log.states import MissionState
 from panoexec.mission.settings import GuardSettings, MissionSettings
 from panoexec.planning.model import Band, Constraints, Plan, Shot, Tolerance
 from panoexec.sim.config import AirframeConfig, CameraConfig, SimConfig
 from panoexec.sim.faults import parse_fault
-from panoexec.states import MissionState
+from tests.repository import ROOT
 
 TOLERANCE = Tolerance(pitch_deg=0.25, roll_deg=0.25, yaw_deg=1.0)
 SPEEDUP = 20.0
@@ -128,7 +129,7 @@ def test_every_fault_of_the_simulator_is_flown() -> None:
 
 
 def test_the_documentation_has_each_fault_with_its_reaction_and_its_state() -> None:
-    text = (Path(__file__).parents[2] / "docs" / "mission.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "mission.md").read_text(encoding="utf-8")
     section = text[text.index("## Faults") : text.index("## What the pilot hears")]
     ends: dict[str, set[str]] = {}
     for line in section.splitlines():

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from panoexec.mission_dir import MissionDirectory
 from panoexec.report import write_report
+from panoexec.store.directory import MissionDirectory
 from tests.browser import Browser, chromium
 from tests.report_missions import edit, photographed
 

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from panoexec.angles import rotation
 from panoexec.sim.config import CameraConfig, GimbalConfig, SimConfig
-from panoexec.sim.darkroom import Darkroom, Negative
-from panoexec.sim.dialect import mavlink
 from panoexec.sim.faults import parse_fault
-from panoexec.sim.render import Renderer
-from panoexec.sim.scene import procedural_scene
+from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.photos.darkroom import Darkroom, Negative
+from panoexec.sim.photos.render import Renderer
+from panoexec.sim.photos.scene import procedural_scene
+from panoexec.sim.physics.world import SimClock, TruthLog
 from panoexec.sim.simulation import Simulation
-from panoexec.sim.world import SimClock, TruthLog
 from tests.wire.sim_peer import command
 
 POSES = ((-20.0, 40.0), (-90.0, 100.0), (-60.0, -150.0))

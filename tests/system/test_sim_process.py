@@ -18,10 +18,10 @@ import pytest
 from panoexec.cli.app import run
 from panoexec.errors import LinkError, UsageError
 from panoexec.sim.config import SimConfig
-from panoexec.sim.dialect import mavlink
+from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.mavlink.wire import attach
 from panoexec.sim.pacing import TIME_COMPONENT, TIME_MESSAGE, told_time_s
 from panoexec.sim.process import free_udp_port, running_simulator
-from panoexec.sim.wire import attach
 
 SIMULATE = [sys.executable, "-m", "panoexec", "simulate"]
 

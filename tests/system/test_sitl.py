@@ -18,8 +18,9 @@ from typing import Any
 
 import pytest
 
+from panoexec.dryrun.autopilot import BINARY_VARIABLE, free_udp_ports, sitl_binary
 from panoexec.sim.config import AirframeConfig
-from panoexec.sitl.autopilot import BINARY_VARIABLE, free_udp_ports, sitl_binary
+from tests.repository import ROOT
 from tests.system.dry_runs import DRY_RUN, accepted, dry_run, flown
 
 SPEEDUP = "5"
@@ -179,7 +180,7 @@ def test_a_sitl_that_dies_ends_the_dry_run_with_its_name(tmp_path: Path) -> None
 
 def test_a_vehicle_that_runs_already_is_neither_armed_nor_flown_nor_ended(tmp_path: Path) -> None:
     ground_port, payload_port, rc_port, irlock_port = free_udp_ports(4)
-    parameters = Path(__file__).parents[2] / "config" / "ardupilot-sitl.parm"
+    parameters = ROOT / "config" / "ardupilot-sitl.parm"
     with subprocess.Popen(
         [
             str(sitl_binary(None)),

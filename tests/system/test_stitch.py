@@ -15,12 +15,12 @@ from panoexec.angles import FloatArray, angle_between
 from panoexec.cli import app
 from panoexec.errors import UsageError
 from panoexec.exports import export_set, write_exports
-from panoexec.manifest import read_manifest
-from panoexec.pto import parse_pto
-from panoexec.sim.scene import procedural_scene
+from panoexec.formats.hugin_pto import parse_pto
+from panoexec.sim.photos.scene import procedural_scene
 from panoexec.stitching import rendering
 from panoexec.stitching.canvas import Block
 from panoexec.stitching.tiff import TiledTiff
+from panoexec.store.manifest import read_manifest
 from tests.missions import BAND, CAMERA, ring_poses, write_mission
 
 pytestmark = pytest.mark.skipif(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from panoexec.angles import rotation_from_quaternion, wrap_180
-from panoexec.planning.pose_error import pose_error
+from panoexec.planning.geometry.pose_error import pose_error
 from tests.system.dry_runs import accepted, flown, manifest_of
 
 QUICK = ("--speedup", "10")

@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 pytest.importorskip("pymavlink")
 
 from panoexec.angles import rotation_from_quaternion
-from panoexec.camera_profiles import load_profile
-from panoexec.dryrun import DryRunOptions, DryRunSummary, run_dry_run
+from panoexec.dryrun.run import DryRunOptions, DryRunSummary, run_dry_run
+from panoexec.inputs.camera_profiles import load_profile
+from panoexec.inputs.plan_file import read_plan_file
 from panoexec.mission.settings import GuardSettings, MissionSettings
 from panoexec.mission.verifier import certify_flown
 from panoexec.optics import Camera
-from panoexec.planfile import read_plan_file
-from panoexec.planning.making import make_plan
+from panoexec.planning.geometry.pose_error import pose_error
+from panoexec.planning.make_plan import make_plan
 from panoexec.planning.model import Band, Constraints, Plan, Timing, Tolerance
-from panoexec.planning.pose_error import pose_error
 from panoexec.sim.config import AirframeConfig, CameraConfig, SimConfig
 from tests.unit.planning.sampling import directions_in
 

@@ -15,10 +15,10 @@ from pathlib import Path
 import pytest
 
 from panoexec.cli.app import VERBS, parser_of
-from panoexec.config import Config
 from panoexec.errors import UsageError
+from panoexec.inputs.config import Config
+from tests.repository import ROOT
 
-ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
 FENCE = re.compile(r"^```[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"^ {4}(\S.*)$", re.MULTILINE)

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from panoexec.adapters.mavsdk_link import MavsdkLink
+from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.clock import SystemClock
 from tests.wire.scripted_peer import GimbalPeer, ScriptedPeer, listening
 

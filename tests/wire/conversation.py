@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from panoexec.sim.dialect import mavlink
+from panoexec.sim.mavlink.dialect import mavlink
 from tests.wire.sim_peer import Peer, UdpPeer, command, command_int, result_of
 
 NAN = math.nan

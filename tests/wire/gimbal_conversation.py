@@ -15,9 +15,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from panoexec.dryrun.autopilot import SitlOptions, free_udp_ports, running_sitl, sitl_binary
 from panoexec.sim.config import SimConfig
-from panoexec.sim.dialect import mavlink
-from panoexec.sitl.autopilot import SitlOptions, free_udp_ports, running_sitl, sitl_binary
+from panoexec.sim.mavlink.dialect import mavlink
 from tests.wire.sim_peer import EmbeddedPeer, Heard, Peer, UdpPeer, command, result_of
 
 NAN = math.nan

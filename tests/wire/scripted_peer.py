@@ -13,7 +13,7 @@ import time
 from collections.abc import AsyncIterator, Callable
 from typing import Any, TypeAlias, TypeVar
 
-from panoexec.sim.dialect import mavlink
+from panoexec.sim.mavlink.dialect import mavlink
 
 Answer: TypeAlias = Callable[[Any], int | None]
 """From a command to its MAV_RESULT; None is no answer at all."""

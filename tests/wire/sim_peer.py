@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from panoexec.sim.config import SimConfig
-from panoexec.sim.dialect import mavlink
+from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.physics.world import SimClock, TruthLog
 from panoexec.sim.simulation import Simulation
-from panoexec.sim.world import SimClock, TruthLog
 
 SYSTEM, COMPONENT = 1, 195
 

@@ -13,15 +13,15 @@ from typing import Any
 import pytest
 
 from panoexec.clock import SystemClock
-from panoexec.config import Config, load_config
-from panoexec.doctor.examination import examine
 from panoexec.doctor.findings import Findings
+from panoexec.doctor.run_checks import examine
 from panoexec.doctor.vehicle import examine_vehicle
+from panoexec.dryrun.autopilot import BINARY_VARIABLE, sitl_binary
+from panoexec.dryrun.rigs import SitlVehicle
+from panoexec.inputs.config import Config, load_config
 from panoexec.sim.config import CameraConfig, SimConfig
 from panoexec.sim.faults import parse_fault
 from panoexec.sim.process import free_udp_port, running_simulator
-from panoexec.sitl.autopilot import BINARY_VARIABLE, sitl_binary
-from panoexec.sitl.rigs import SitlVehicle
 from tests.wire.broker import needs_mosquitto, running_broker
 
 SPEEDUP = 6.0

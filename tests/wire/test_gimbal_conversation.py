@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from panoexec.sim.config import SimConfig
+from tests.repository import ROOT
 from tests.wire.gimbal_conversation import ASKED, EmbeddedGround, hold
 
-DATA = Path(__file__).parents[1] / "data" / "arducopter-to-gimbal.jsonl"
+DATA = ROOT / "tests" / "data" / "arducopter-to-gimbal.jsonl"
 RATES = ("target_per_s", "state_per_s")
 
 

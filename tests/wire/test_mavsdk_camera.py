@@ -11,12 +11,12 @@ from typing import Any
 
 import pytest
 
-from panoexec.adapters.mavsdk_camera import MavsdkCamera
-from panoexec.adapters.mavsdk_link import MavsdkLink
+from panoexec.adapters.camera.mavsdk_camera import MavsdkCamera
+from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.clock import SystemClock
 from panoexec.devices import Camera, EvidenceLevel
 from panoexec.errors import DeviceError, LinkError
-from panoexec.sim.dialect import mavlink
+from panoexec.sim.mavlink.dialect import mavlink
 from tests.wire.scripted_peer import ACCEPTED, DENIED, ScriptedPeer, eventually, listening
 
 CLOCK = SystemClock()

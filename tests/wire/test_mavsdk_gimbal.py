@@ -10,13 +10,13 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from panoexec.adapters.mavsdk_gimbal import Feedback, MavsdkGimbal
-from panoexec.adapters.mavsdk_link import MavsdkLink
+from panoexec.adapters.gimbal.mavsdk_gimbal import Feedback, MavsdkGimbal
+from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.clock import SystemClock
 from panoexec.devices import Gimbal, YawFrame
 from panoexec.errors import DeviceError, LinkError
-from panoexec.pose_reading import pose_of, read_pose
-from panoexec.sim.dialect import mavlink
+from panoexec.mission.pointing.poses import pose_of, read_pose
+from panoexec.sim.mavlink.dialect import mavlink
 from tests.wire.scripted_peer import DENIED, NAN, GimbalPeer, ScriptedPeer, eventually
 
 DEVICE = 154

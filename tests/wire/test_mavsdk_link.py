@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from panoexec.adapters.mavsdk_link import MavsdkLink
+from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.clock import SystemClock
 from panoexec.errors import DeviceError, LinkError, UsageError
 from tests.wire.scripted_peer import FAILED, IN_PROGRESS, ScriptedPeer, eventually, free_udp_port, listening

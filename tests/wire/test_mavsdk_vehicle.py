@@ -7,19 +7,19 @@ import math
 
 import pytest
 
-from panoexec import events as ev
-from panoexec.adapters.mavsdk_link import MavsdkLink
+from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import SystemClock
 from panoexec.devices import Vehicle
 from panoexec.errors import DeviceError
-from panoexec.mission.pilot import PilotVoice
-from panoexec.mission.record import MissionRecord
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.record import MissionRecord
+from panoexec.mission.log.states import MissionState
+from panoexec.mission.pilot_messages import PilotVoice
 from panoexec.planning.model import Shot
 from panoexec.sim.config import AirframeConfig, SimConfig
-from panoexec.sim.dialect import mavlink
+from panoexec.sim.mavlink.dialect import mavlink
 from panoexec.sim.process import free_udp_port, running_simulator
-from panoexec.states import MissionState
 from tests.wire.scripted_peer import ACCEPTED, FAILED, ScriptedPeer, eventually
 
 GPS = 0x20

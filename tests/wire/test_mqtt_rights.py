@@ -13,19 +13,20 @@ from typing import Any
 import aiomqtt
 import pytest
 
-from panoexec.config import Config, MqttSection
 from panoexec.doctor.broker import examine_broker
 from panoexec.doctor.findings import Findings
 from panoexec.errors import LinkError
+from panoexec.inputs.config import Config, MqttSection
 from panoexec.mqtt.credentials import credential_problems
-from panoexec.mqtt.ground import GroundStation
+from panoexec.mqtt.ground_station import GroundStation
 from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.link import MqttLink, running
 from panoexec.mqtt.probe import probe_broker
+from tests.repository import ROOT
 from tests.wire.broker import PATH, Broker, eventually, needs_mosquitto, running_broker
 
 pytestmark = needs_mosquitto
-ACL = Path(__file__).parents[2] / "config" / "mosquitto.acl"
+ACL = ROOT / "config" / "mosquitto.acl"
 USERS = ("drone", "other", "ground", "viewer")
 
 

@@ -11,19 +11,20 @@ from typing import Any
 
 import pytest
 
-from panoexec.config import Config, MqttSection
 from panoexec.doctor.broker import examine_broker
 from panoexec.doctor.findings import Findings
 from panoexec.errors import LinkError, UsageError
+from panoexec.inputs.config import Config, MqttSection
 from panoexec.mqtt.certificates import certificate_validity, explained
-from panoexec.mqtt.ground import GroundStation
+from panoexec.mqtt.ground_station import GroundStation
 from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.link import MqttLink, running
+from tests.repository import ROOT
 from tests.wire.broker import PATH, Broker, eventually, free_tcp_port, needs_mosquitto, running_broker
 from tests.wire.certificates import Authority, Issued, needs_openssl
 
 pytestmark = [needs_mosquitto, needs_openssl]
-ACL = Path(__file__).parents[2] / "config" / "mosquitto.acl"
+ACL = ROOT / "config" / "mosquitto.acl"
 
 
 @pytest.fixture(scope="module")

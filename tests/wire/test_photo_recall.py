@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from panoexec.adapters.mavsdk_camera import MavsdkCamera
-from panoexec.adapters.mavsdk_link import MavsdkLink
+from panoexec.adapters.camera.mavsdk_camera import MavsdkCamera
+from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.clock import SystemClock
 from panoexec.devices import EvidenceLevel, PendingCapture
 from panoexec.errors import DeviceError

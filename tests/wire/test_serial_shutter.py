@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 import serial
 
-from panoexec.adapters.message_hub import Handler, MavMessage
-from panoexec.adapters.serial_shutter import Line, SerialShutter
+from panoexec.adapters.camera.serial_shutter import Line, SerialShutter
+from panoexec.adapters.link.message_hub import Handler, MavMessage
 from panoexec.clock import SystemClock
 from panoexec.devices import Camera, EvidenceLevel
 from panoexec.errors import LinkError

@@ -5,18 +5,18 @@ from __future__ import annotations
 import dataclasses
 import json
 from functools import cache
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import pytest
 
 from panoexec.sim.config import GimbalConfig, SimConfig
+from tests.repository import ROOT
 from tests.wire.conversation import ASKED, ASKED_SERVO, hold
 from tests.wire.sim_peer import EmbeddedPeer
 
 Steps: TypeAlias = dict[str, dict[str, Any]]
 
-DATA = Path(__file__).parents[1] / "data"
+DATA = ROOT / "tests" / "data"
 LIMITED = dataclasses.replace(GimbalConfig(), pitch=dataclasses.replace(GimbalConfig().pitch, max_deg=45.0))
 VEHICLES = {
     "arducopter-conversation": (ASKED, SimConfig()),

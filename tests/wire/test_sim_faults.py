@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from panoexec.sim.config import SimConfig
-from panoexec.sim.dialect import mavlink
 from panoexec.sim.faults import parse_fault
+from panoexec.sim.mavlink.dialect import mavlink
 from tests.wire.sim_peer import EmbeddedPeer, Heard, command, result_of
 
 LOCK = mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from panoexec.sim.config import CameraConfig, SimConfig
-from panoexec.sim.dialect import mavlink
+from panoexec.sim.mavlink.dialect import mavlink
 from tests.wire.sim_peer import EmbeddedPeer
 
 RELEASED = SimConfig(

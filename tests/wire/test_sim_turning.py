@@ -11,7 +11,7 @@ import pytest
 
 from panoexec.angles import wrap_180
 from panoexec.sim.config import AirframeConfig, AxisConfig, GimbalConfig, SimConfig
-from panoexec.sim.dialect import mavlink
+from panoexec.sim.mavlink.dialect import mavlink
 from tests.wire.sim_peer import EmbeddedPeer, command, command_int, result_of
 
 TURN, MODE, PLACE = mavlink.MAV_CMD_CONDITION_YAW, mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_DO_REPOSITION

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from panoexec.angles import rotation, rotation_from_quaternion, yaw_pitch_roll, yaw_pitch_roll_321
-from panoexec.planning.pose_error import pose_error
+from panoexec.planning.geometry.pose_error import pose_error
 from panoexec.sim.config import AirframeConfig, CameraConfig, GimbalConfig, SimConfig
-from panoexec.sim.dialect import mavlink
+from panoexec.sim.mavlink.dialect import mavlink
 from tests.wire.sim_peer import EmbeddedPeer, Heard, command, result_of
 
 NAN = math.nan

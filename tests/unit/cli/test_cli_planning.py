@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from panoexec.cli.app import run
-from panoexec.planfile import read_plan_file, write_plan
+from panoexec.inputs.plan_file import read_plan_file, write_plan
+from panoexec.planning.baselines.published import published_plan
 from panoexec.planning.model import Plan
-from panoexec.planning.published import published_plan
 
 PLAN = ["plan", "--camera", "dji-x5s-15mm", "--method", "paper"]
 EXACT = ["--tolerance-pitch", "0", "--tolerance-roll", "0", "--tolerance-yaw", "0"]

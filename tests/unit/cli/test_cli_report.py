@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from panoexec.cli.app import run
-from panoexec.mission_dir import MissionDirectory
+from panoexec.store.directory import MissionDirectory
 from tests.report_missions import edit, photographed
 
 

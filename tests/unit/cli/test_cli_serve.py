@@ -12,7 +12,7 @@ from panoexec.cli.app import run
 
 
 def test_the_daemon_imports_nothing_that_it_never_needs() -> None:
-    heavy = {"rich", "matplotlib", "PIL", "pymavlink", "panoexec.sim", "panoexec.sitl", "panoexec.stitching"}
+    heavy = {"rich", "matplotlib", "PIL", "pymavlink", "panoexec.sim", "panoexec.dryrun", "panoexec.stitching"}
     program = f"import sys, panoexec.cli.serve; print(*sorted(set(sys.modules) & {heavy}))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 from rich.console import Console, RenderableType
 
-from panoexec.camera_profiles import load_profile
 from panoexec.cli.sphere_map import LEGEND, Mark
 from panoexec.cli.watch_view import Watched, fleet_view, mission_view
-from panoexec.planfile import camera_to_data
+from panoexec.inputs.camera_profiles import load_profile
+from panoexec.inputs.plan_file import camera_to_data
 
 LINKS = {name: {"ok": name != "camera", "age_s": 0.1} for name in ("autopilot", "gimbal", "camera")}
 STATE: dict[str, Any] = {

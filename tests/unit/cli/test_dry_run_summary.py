@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("pymavlink")
 
 from panoexec.cli.dry_run_view import show_summary
-from panoexec.dryrun import DryRunSummary
+from panoexec.dryrun.run import DryRunSummary
 
 
 def _summary(**changes: Any) -> DryRunSummary:

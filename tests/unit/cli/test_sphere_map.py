@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from panoexec import events as ev
 from panoexec.cli.dry_run_view import MissionView
 from panoexec.cli.sphere_map import HEIGHT, LEGEND, WIDTH, Mark, SphereMap, marks_of
 from panoexec.devices import EvidenceLevel
 from panoexec.mission.executor import Mission
-from panoexec.mission.record import MissionRecord
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.record import MissionRecord
 from panoexec.optics import Camera
 from panoexec.planning.model import Shot
 from tests.unit.fakes.virtual import run_virtual

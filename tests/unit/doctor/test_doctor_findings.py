@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from panoexec.config import Config
 from panoexec.doctor import machine
 from panoexec.doctor.advice import advise
 from panoexec.doctor.findings import AREAS, DEVICE_AREAS, Findings, Verdict
+from panoexec.inputs.config import Config
 
 
 @pytest.mark.parametrize(

@@ -16,11 +16,11 @@ from panoexec.experiment import running
 from panoexec.experiment.capture import PointingErrors, true_rotations, write_capture
 from panoexec.experiment.cases import TABLE_2, Case, cases, plan_of
 from panoexec.experiment.running import Outcome, Setting, misalignment_deg, run_cases
-from panoexec.manifest import read_manifest
-from panoexec.planning.pose_error import pose_error
-from panoexec.planning.published import PAPER_TOLERANCE
-from panoexec.sim.scene import procedural_scene
+from panoexec.planning.baselines.published import PAPER_TOLERANCE
+from panoexec.planning.geometry.pose_error import pose_error
+from panoexec.sim.photos.scene import procedural_scene
 from panoexec.stitching.mission import load_mission
+from panoexec.store.manifest import read_manifest
 
 
 def an_outcome(case: Case, *, hole_px: int = 0) -> Outcome:

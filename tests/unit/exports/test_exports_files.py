@@ -29,10 +29,10 @@ from panoexec.exports.hugin import hugin_project
 from panoexec.exports.papywizard import papywizard_angles, papywizard_text
 from panoexec.exports.qgc_plan import qgc_text
 from panoexec.exports.shots_csv import COLUMNS, csv_text
+from panoexec.formats.hugin_pto import parse_pto
 from panoexec.optics import Camera
+from panoexec.planning.geometry.pose_error import pose_error
 from panoexec.planning.model import Band, Constraints, Plan, Shot
-from panoexec.planning.pose_error import pose_error
-from panoexec.pto import parse_pto
 
 CAMERA = Camera(
     name="test",

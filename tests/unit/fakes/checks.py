@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from panoexec import events as ev
 from panoexec.angles import rotation, rotation_from_quaternion
-from panoexec.mission.record import MissionRecord, ShotStatus, Verdict
-from panoexec.planning.pose_error import pose_error
-from panoexec.pose_reading import readings_since
-from panoexec.states import ENDED, TRANSITIONS, MissionState
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.record import MissionRecord, ShotStatus, Verdict
+from panoexec.mission.log.states import ENDED, TRANSITIONS, MissionState
+from panoexec.mission.pointing.poses import readings_since
+from panoexec.planning.geometry.pose_error import pose_error
 from tests.unit.fakes.world import World
 
 

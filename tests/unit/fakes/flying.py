@@ -6,8 +6,8 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from typing import Any, TypeAlias
 
-from panoexec import events as ev
 from panoexec.mission.executor import Mission
+from panoexec.mission.log import events as ev
 from tests.unit.fakes.checks import check_mission
 from tests.unit.fakes.virtual import run_virtual
 from tests.unit.fakes.world import World, a_world

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from panoexec.devices import AttitudeFeed, PendingCapture, Recollection
 from panoexec.errors import DeviceError
-from panoexec.events import Event
 from panoexec.mission.executor import Mission
-from panoexec.mission.record import MissionRecord
+from panoexec.mission.log.events import Event
+from panoexec.mission.log.record import MissionRecord
 from panoexec.planning.model import GimbalLimits
 from tests.unit.fakes.world import World
 

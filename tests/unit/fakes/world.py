@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from panoexec.angles import FloatArray
-from panoexec.events import Event
 from panoexec.mission.executor import Mission
-from panoexec.mission.record import MissionRecord
+from panoexec.mission.log.events import Event
+from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.settings import GuardSettings, MissionSettings
 from panoexec.optics import Camera
 from panoexec.planning.model import Band, Certificate, Constraints, Plan, Shot, Tolerance

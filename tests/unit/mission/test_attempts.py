@@ -7,9 +7,9 @@ import itertools
 import pytest
 import structlog
 
-from panoexec import events as ev
 from panoexec.devices import EvidenceLevel, YawFrame
-from panoexec.states import MissionState
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.states import MissionState
 from tests.unit.fakes.checks import check_mission
 from tests.unit.fakes.devices import FakeCapture
 from tests.unit.fakes.flying import fly

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from panoexec import events as ev
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.states import MissionState
 from panoexec.mission.preflight import battery_problems, battery_warning
 from panoexec.mission.settings import GuardSettings
-from panoexec.states import MissionState
 from tests.unit.fakes.flying import fly
 from tests.unit.fakes.world import World, some_settings
 

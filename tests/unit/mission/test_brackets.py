@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from panoexec import events as ev
 from panoexec.mission.executor import Mission
-from panoexec.mission.record import Verdict
-from panoexec.states import MissionState
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.record import Verdict
+from panoexec.mission.log.states import MissionState
 from tests.unit.fakes.flying import fly
 from tests.unit.fakes.world import World, some_settings
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 
 from panoexec.devices import EvidenceLevel
-from panoexec.states import MissionState
+from panoexec.mission.log.states import MissionState
 from tests.unit.fakes.flying import fly
 from tests.unit.fakes.world import World, some_settings
 

@@ -7,10 +7,10 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
-from panoexec import events as ev
 from panoexec.mission.executor import Mission
-from panoexec.mission.record import MissionRecord, ShotStatus
-from panoexec.states import MissionState
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.record import MissionRecord, ShotStatus
+from panoexec.mission.log.states import MissionState
 from tests.unit.fakes.checks import check_mission
 from tests.unit.fakes.flying import until_event
 from tests.unit.fakes.process import Process

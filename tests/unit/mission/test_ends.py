@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from panoexec import events as ev
 from panoexec.errors import MissionError
 from panoexec.mission.executor import Mission
-from panoexec.mission.record import MissionRecord
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.record import MissionRecord
+from panoexec.mission.log.states import MissionState
 from panoexec.planning.model import GimbalLimits, Hole
-from panoexec.states import MissionState
 from tests.unit.fakes.checks import check_mission
 from tests.unit.fakes.flying import drift_at, fly, until_event
 from tests.unit.fakes.virtual import run_virtual

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from panoexec import events as ev
-from panoexec.mission.control import CommandRefusedError
 from panoexec.mission.executor import Mission
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.states import MissionState
+from panoexec.mission.mission_requests import CommandRefusedError
 from panoexec.mission.settings import GuardSettings
-from panoexec.states import MissionState
 from tests.unit.fakes.flying import fly, until_event
 from tests.unit.fakes.world import World, some_settings
 

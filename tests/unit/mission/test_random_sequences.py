@@ -14,14 +14,14 @@ from typing import Any
 
 import pytest
 
-from panoexec import events as ev
 from panoexec.devices import EvidenceLevel
-from panoexec.mission.control import CommandRefusedError
 from panoexec.mission.executor import Mission
-from panoexec.mission.record import MissionRecord, Verdict
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.record import MissionRecord, Verdict
+from panoexec.mission.log.states import FINISHED
+from panoexec.mission.mission_requests import CommandRefusedError
 from panoexec.mission.settings import GuardSettings
 from panoexec.planning.model import GimbalLimits, Turning
-from panoexec.states import FINISHED
 from tests.unit.fakes.checks import check_mission
 from tests.unit.fakes.process import Process
 from tests.unit.fakes.virtual import run_virtual

@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from panoexec import events as ev
 from panoexec.devices import EvidenceLevel
-from panoexec.mission.record import MissionRecord, ShotStatus, Verdict
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.record import MissionRecord, ShotStatus, Verdict
+from panoexec.mission.log.states import MissionState
 from panoexec.planning.model import Shot
-from panoexec.states import MissionState
 from tests.unit.fakes.checks import check_mission
 from tests.unit.fakes.process import Process
 from tests.unit.fakes.virtual import run_virtual

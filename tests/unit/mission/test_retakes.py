@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from panoexec import events as ev
 from panoexec.mission.executor import Mission
-from panoexec.mission.record import ShotStatus
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.record import ShotStatus
+from panoexec.mission.log.states import MissionState
 from panoexec.planning.model import Hole, Shot
-from panoexec.states import MissionState
 from tests.unit.fakes.flying import drift_at, fly, until_event
 from tests.unit.fakes.world import World, a_plan, some_settings
 

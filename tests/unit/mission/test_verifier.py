@@ -10,9 +10,9 @@ import pytest
 from panoexec.angles import FloatArray, rotation, wrap_180
 from panoexec.mission.verifier import NO_ROW, ThreadedVerifier, certify_flown, flown_constraints, patch_shots, row_of
 from panoexec.optics import Camera
-from panoexec.planning.certificate import certify
+from panoexec.planning.certificate.verdict import certify
 from panoexec.planning.model import Band, Constraints, Plan, Shot, Tolerance
-from panoexec.planning.search import plan_certified
+from panoexec.planning.search.planner import plan_certified
 from tests.unit.fakes.virtual import run_virtual
 
 TOLERANCE = Tolerance(pitch_deg=0.2, roll_deg=0.2, yaw_deg=0.7)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 from panoexec.mqtt.messages import State
 from panoexec.mqtt.requests import parse_request
+from tests.repository import ROOT
 
-TEXT = (Path(__file__).parents[3] / "docs" / "ground-station.md").read_text(encoding="utf-8")
+TEXT = (ROOT / "docs" / "ground-station.md").read_text(encoding="utf-8")
 
 
 def test_the_documented_state_is_one() -> None:

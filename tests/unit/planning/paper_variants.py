@@ -6,10 +6,10 @@ import math
 from dataclasses import replace
 
 from panoexec.optics import Camera
-from panoexec.planning.certificate import certify
-from panoexec.planning.grid import Row, evenly_spaced, shots_by_row
+from panoexec.planning.baselines.grid import Row, evenly_spaced, shots_by_row
+from panoexec.planning.baselines.paper import pan_step_deg, plan_paper, tilt_step_deg
+from panoexec.planning.certificate.verdict import certify
 from panoexec.planning.model import Constraints, Plan
-from panoexec.planning.paper import pan_step_deg, plan_paper, tilt_step_deg
 
 
 def literal_plan(camera: Camera, constraints: Constraints, top_pitch_deg: float) -> Plan:

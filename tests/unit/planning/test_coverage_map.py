@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from panoexec.angles import direction, rotation
 from panoexec.optics import Camera
 from panoexec.planning.coverage_map import box_mask, coverage_count, grid, uncovered_fraction
-from panoexec.planning.footprint import inside_margin
+from panoexec.planning.geometry.footprint import inside_margin
 from panoexec.planning.model import AngleBox, Band
 
 CAMERA = Camera.from_fov(59.94, 46.86)

@@ -3,11 +3,11 @@ from dataclasses import replace
 import pytest
 
 from panoexec.errors import PlanningError
-from panoexec.planning.duration import estimate
+from panoexec.planning.baselines.paper import plan_paper
+from panoexec.planning.baselines.published import X5S_15MM, published_plan
 from panoexec.planning.fit import what_would_fit
 from panoexec.planning.model import Band, Constraints, GimbalLimits, Plan, Shot, Timing
-from panoexec.planning.paper import plan_paper
-from panoexec.planning.published import X5S_15MM, published_plan
+from panoexec.planning.order.duration import estimate
 from panoexec.planning.rows import row_table
 
 WANTED = Constraints(overlap_h=0.15, overlap_v=0.15, band=Band(elevation_min_deg=-90, elevation_max_deg=30))

@@ -13,9 +13,9 @@ import pytest
 
 from panoexec.angles import quaternion_from_rotation, rotation
 from panoexec.errors import InputFileError, UsageError
-from panoexec.mission_dir import MissionDirectory
 from panoexec.report import write_report
 from panoexec.report.page import embedded_json
+from panoexec.store.directory import MissionDirectory
 from tests.report_missions import edit, photographed, stamp
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>&\u2028\"'{{style}}"

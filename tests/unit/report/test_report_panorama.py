@@ -11,10 +11,10 @@ import PIL.Image
 import pytest
 
 from panoexec.angles import rotation
-from panoexec.mission_dir import MissionDirectory
 from panoexec.report.panorama import _Canvas, best_picture
 from panoexec.report.source import read_source
-from panoexec.sim.scene import procedural_scene
+from panoexec.sim.photos.scene import procedural_scene
+from panoexec.store.directory import MissionDirectory
 from tests.report_missions import photographed
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from panoexec import events as ev
+from panoexec.mission.log import events as ev
 from panoexec.mission.settings import MissionSettings
 from panoexec.planning.model import Tolerance
 from panoexec.report.source import Source

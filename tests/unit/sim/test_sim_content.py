@@ -11,9 +11,9 @@ import pytest
 
 from panoexec.angles import FloatArray, quaternion_from_rotation, rotation, rotation_321
 from panoexec.optics import Camera
-from panoexec.sim.jpeg import PhotoMetadata, write_jpeg
-from panoexec.sim.render import Renderer
-from panoexec.sim.scene import procedural_scene
+from panoexec.sim.photos.jpeg import PhotoMetadata, write_jpeg
+from panoexec.sim.photos.render import Renderer
+from panoexec.sim.photos.scene import procedural_scene
 from tests.content import pointing_offset_deg
 
 LANDSCAPE = Camera.from_fov(59.94, 46.86)

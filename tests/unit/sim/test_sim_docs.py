@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from panoexec.sim import settings
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import FAULTS
+from tests.repository import ROOT
 
-TEXT = (Path(__file__).parents[3] / "docs" / "simulator.md").read_text(encoding="utf-8")
+TEXT = (ROOT / "docs" / "simulator.md").read_text(encoding="utf-8")
 ROWS = {
     cells[1].strip().strip("`"): [cell.strip() for cell in cells[2:-1]]
     for cells in (line.split("|") for line in TEXT.splitlines() if line.startswith("| `"))

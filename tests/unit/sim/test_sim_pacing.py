@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from panoexec.sim.pacing import Leash, allowance_line, time_fields, told_time_s
-from panoexec.sim.world import SimClock
+from panoexec.sim.physics.world import SimClock
 
 
 @given(st.floats(0, 4e6))

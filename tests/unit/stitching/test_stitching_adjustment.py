@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from panoexec.angles import FloatArray, angle_between, rotation
-from panoexec.planning.pose_error import pose_error
+from panoexec.planning.geometry.pose_error import pose_error
 from panoexec.stitching.adjustment import Lens, Points, Prior, adjust, separation_deg, spread_points, tied_group
 
 LENS = Lens(width_px=800, height_px=601, focal_length_px=693.6)

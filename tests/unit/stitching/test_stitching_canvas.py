@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from panoexec.angles import direction, rotation
-from panoexec.pto import PtoProject, pto_image
+from panoexec.formats.hugin_pto import PtoProject, pto_image
 from panoexec.stitching.canvas import block_side, blocks, image_depth, images_in_view, turned, view_of
 
 CANVAS = (2000, 1000)

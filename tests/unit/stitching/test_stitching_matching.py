@@ -8,8 +8,8 @@ import PIL.Image
 import pytest
 
 from panoexec.angles import rotation
+from panoexec.formats.hugin_pto import ControlPoint, PtoProject, pto_image
 from panoexec.planning.model import Tolerance
-from panoexec.pto import ControlPoint, PtoProject, pto_image
 from panoexec.stitching.adjustment import Lens
 from panoexec.stitching.matching import as_control_points, believable, find_points
 from panoexec.stitching.tools import StitchError, ToolError, check_tools, disk_error, run_tool

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from panoexec.mission_dir import MissionDirectory
 from panoexec.stitching.mission import load_mission
 from panoexec.stitching.tools import StitchError
+from panoexec.store.directory import MissionDirectory
 from tests.report_missions import edit, photographed
 
 

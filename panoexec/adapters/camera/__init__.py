@@ -1,0 +1,1 @@
+"""Cameras: MAVLink, servo and serial shutter; triggers matched with capture messages."""

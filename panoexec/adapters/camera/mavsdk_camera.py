@@ -1,0 +1,355 @@
+"""A camera behind MAVLink: one that speaks the camera protocol, or a shutter on the autopilot's servo or relay."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from types import TracebackType
+from typing import Final, Self
+
+import structlog
+from mavsdk.plugins.camera import Camera, CameraList, Information
+
+from panoexec.adapters.camera.capture_matching import Capture, CaptureLedger, StampClock
+from panoexec.adapters.camera.capture_messages import captured_report, feedback_report, file_is_there
+from panoexec.adapters.camera.photo_recall import CAPTURE_STATUS, IMAGE_CAPTURED, recall_images, recall_trigger
+from panoexec.adapters.gimbal.attitude_messages import number
+from panoexec.adapters.link.mavsdk_link import MavsdkLink
+from panoexec.adapters.link.mavsdk_requests import REQUEST_MESSAGE
+from panoexec.adapters.link.message_hub import MavMessage
+from panoexec.adapters.link.stream_keeper import AUTOPILOT
+from panoexec.clock import latest_s
+from panoexec.devices import EvidenceLevel, PendingCapture, Recollection
+from panoexec.errors import DeviceError
+
+STORAGE_INFORMATION: Final = 261
+
+_MAV_TYPE_CAMERA: Final = 30
+_STORAGE_EMPTY, _STORAGE_UNFORMATTED, _STORAGE_READY = 0, 1, 2
+_PREFER_S: Final = 2.5
+_BYTES_PER_PX: Final = 0.6
+"""Of a fine JPEG, on the safe side: 24 megapixels give 14 MB."""
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraFound:
+    """What discovery found.
+
+    Attributes:
+        component: its MAVLink component; 1 to 6 are shutters of the autopilot.
+        vendor, model: as it states them, "" if it does not.
+        image_width_px, image_height_px: 0 if it does not say.
+        feedback_pin: the autopilot reports the shutter's own signal and not only the trigger.
+    """
+
+    component: int
+    vendor: str = ""
+    model: str = ""
+    image_width_px: int = 0
+    image_height_px: int = 0
+    feedback_pin: bool = False
+
+    @property
+    def by_autopilot(self) -> bool:
+        """Whether the autopilot triggers it."""
+        return self.component <= 6
+
+
+class MavsdkCamera:
+    """Implements `Camera`; an async context manager on an open link.
+
+    Photos are proven by the messages themselves: MAVSDK's `capture_info` is silent with ArduPilot, tells no boot time,
+    and goes silent when a camera counts from 1 again.
+    """
+
+    def __init__(
+        self,
+        link: MavsdkLink,
+        *,
+        component: int = 0,
+        feedback_pin: bool | None = None,
+        mib_per_image: float | None = None,
+    ) -> None:
+        """Describe it; entering the context starts to listen.
+
+        Args:
+            link: to the autopilot, entered before and left after this.
+            component: MAVLink component of the camera; 0 takes a camera that beats, else the autopilot's.
+            feedback_pin: whether CAMERA_FEEDBACK comes from a wired hot-shoe; None asks CAM1_FEEDBAK_PIN.
+            mib_per_image: size of a photo; None estimates it from the image's size.
+        """
+        self._link = link
+        self._component = component
+        self._feedback_pin = feedback_pin
+        self._mib_per_image = mib_per_image
+        self._found: CameraFound | None = None
+        self._listed: dict[int, Information] = {}
+        self._list_changed = asyncio.Event()
+        self._ledger = CaptureLedger()
+        self._stamps = StampClock()
+        self._storages: dict[int, float] = {}
+        self._numbers = 0
+        self._last_index = -1
+        self._heard_s = -math.inf
+        self._triggering = asyncio.Lock()
+        self._recalling = False
+        self._off: list[Callable[[], None]] = []
+
+    # --- state
+
+    @property
+    def found(self) -> CameraFound | None:
+        """What discovery found; None before."""
+        return self._found
+
+    @property
+    def storage_free_images(self) -> float:
+        """See `Camera.storage_free_images`."""
+        if not self._storages:
+            return math.inf
+        found, size = self._found, self._mib_per_image
+        if size is None:
+            pixels = found.image_width_px * found.image_height_px if found is not None else 0
+            size = pixels * _BYTES_PER_PX / 2**20
+        free = sum(self._storages.values())
+        if size <= 0:
+            return math.inf if free > 0 else 0.0
+        return float(math.floor(free / size))
+
+    @property
+    def surplus_photos(self) -> int:
+        """How many photos were reported that we did not trigger."""
+        return self._ledger.surplus
+
+    @property
+    def age_s(self) -> float:
+        """Real seconds since the camera was last heard of; infinity before."""
+        if self._found is not None and self._found.by_autopilot:
+            return self._link.heartbeat_age_s
+        beat = self._link.components.get(self._found.component if self._found else 0, (0, -math.inf))[1]
+        return time.monotonic() - max(beat, self._heard_s)
+
+    # --- life
+
+    async def __aenter__(self) -> Self:
+        """Start to listen."""
+        on = self._link.on
+        self._off = [
+            on("CAMERA_IMAGE_CAPTURED", self._image_captured),
+            on("CAMERA_FEEDBACK", self._feedback),
+            on("CAMERA_CAPTURE_STATUS", self._capture_status),
+            on("CAMERA_INFORMATION", self._stamped),
+            on("STORAGE_INFORMATION", self._storage),
+            self._link.when_attached(self._attach),
+        ]
+        return self
+
+    async def __aexit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Stop listening."""
+        for off in self._off:
+            off()
+
+    async def discover(self, timeout_s: float = 15.0) -> CameraFound:
+        """Return when the camera is there.
+
+        Args:
+            timeout_s: real seconds.
+
+        Raises:
+            DeviceError: no camera; says what is missing.
+            LinkError: no autopilot.
+        """
+        if self._found is not None:
+            return self._found
+        self._link.requests.plugin(Camera)
+        try:
+            async with asyncio.timeout(timeout_s):
+                information = await self._choose()
+        except TimeoutError as error:
+            raise DeviceError(f"no camera within {timeout_s:g} s: {self._why_not_found()}") from error
+        by_autopilot = information.component_id <= 6
+        pin = self._feedback_pin
+        if pin is None and by_autopilot and self._link.is_ardupilot:
+            pin = (await self._link.requests.parameter("CAM1_FEEDBAK_PIN") or -1) > 0
+        self._found = CameraFound(
+            component=information.component_id,
+            vendor=information.vendor_name,
+            model=information.model_name,
+            image_width_px=information.horizontal_resolution_px,
+            image_height_px=information.vertical_resolution_px,
+            feedback_pin=bool(pin),
+        )
+        for message in (STORAGE_INFORMATION, CAPTURE_STATUS):
+            with contextlib.suppress(DeviceError):  # then it does not say
+                await self._link.requests.command(REQUEST_MESSAGE, [message], component=self._target)
+        _log.info("camera found", camera=self._found)
+        return self._found
+
+    async def trigger(self) -> PendingCapture:
+        """See `Camera.trigger`."""
+        found = await self.discover()
+        take_photo = partial(self._link.requests.plugin(Camera).take_photo, found.component)
+        clock = self._link.clock
+        async with self._triggering:
+            self._numbers += 1
+            capture = Capture(self._numbers, clock=clock, nudge=self._ask_for_news)
+            capture.commanded(clock.monotonic())
+            self._ledger.enter(capture)
+
+            def fire() -> float:
+                capture.commanded(clock.monotonic())
+                take_photo()
+                return latest_s(clock)  # the camera counts its interval from before that
+
+            try:
+                acknowledged_s = await self._link.requests.vendor_call("taking a photo", fire)
+            except DeviceError as error:
+                if error.__cause__ is not None and "TIMEOUT" not in str(error.__cause__):
+                    self._ledger.withdraw(capture)  # refused; without an answer a photo may still come of it
+                raise
+            capture.acknowledged(acknowledged_s)
+            return capture
+
+    @property
+    def image_count(self) -> int:
+        """See `PhotoMemory.image_count`."""
+        return self._ledger.image_count
+
+    async def recall(self) -> Recollection:
+        """See `PhotoMemory.recall`: for a mission that goes on, before it takes a photo of its own."""
+        found = await self.discover()
+        self._recalling = True
+        try:
+            if found.by_autopilot:
+                return await recall_trigger(self._link, component=self._target, pin=found.feedback_pin)
+            return await recall_images(self._link, component=self._target)
+        finally:
+            self._recalling = False
+
+    # --- in the vendor's thread
+
+    def _image_captured(self, message: MavMessage) -> None:
+        if self._is_ours(message):
+            self._link.post(self._report_captured, message)
+
+    def _feedback(self, message: MavMessage) -> None:
+        if message.component_id == AUTOPILOT:
+            self._link.post(self._report_feedback, message)
+
+    def _capture_status(self, message: MavMessage) -> None:
+        if self._is_ours(message):
+            self._stamped(message)
+            self._link.post(self._ledger.counted, int(message.fields["image_count"]), message.received_s)
+
+    def _stamped(self, message: MavMessage) -> None:
+        if self._is_ours(message):
+            self._heard_s = time.monotonic()
+            self._link.post(self._stamps.note, message.fields["time_boot_ms"] / 1000.0, message.received_s)
+
+    def _storage(self, message: MavMessage) -> None:
+        if not self._is_ours(message):
+            return
+        self._stamped(message)
+        fields = message.fields
+        status, free = int(fields["status"]), number(fields["available_capacity"])
+        storages = dict(self._storages)
+        if status in (_STORAGE_EMPTY, _STORAGE_UNFORMATTED):
+            storages[int(fields["storage_id"])] = 0.0
+        elif status == _STORAGE_READY and math.isfinite(free):
+            storages[int(fields["storage_id"])] = free
+        self._storages = storages
+
+    def _cameras_listed(self, cameras: CameraList, _user_data: object) -> None:
+        listed = {camera.component_id: camera for camera in cameras.cameras}
+        self._link.post(self._take_list, listed)
+
+    def _is_ours(self, message: MavMessage) -> bool:
+        wanted = self._found.component if self._found is not None else self._component
+        return wanted > 0 and message.component_id == (AUTOPILOT if wanted <= 6 else wanted)
+
+    # --- on the loop
+
+    @property
+    def _target(self) -> int:
+        """Component that commands go to: a shutter of the autopilot is the autopilot's."""
+        return self._found.component if self._found is not None and not self._found.by_autopilot else AUTOPILOT
+
+    def _attach(self) -> None:
+        plugin = self._link.requests.plugin(Camera)
+        handle = plugin.subscribe_camera_list(self._cameras_listed)
+        self._off.append(partial(plugin.unsubscribe_camera_list, handle))
+
+    def _take_list(self, listed: dict[int, Information]) -> None:
+        self._listed = listed
+        self._list_changed.set()
+
+    async def _choose(self) -> Information:
+        """The camera asked for, or one that beats; the autopilot's shutter when no other shows up for a while."""
+        since = time.monotonic()
+        while True:
+            self._list_changed.clear()
+            if self._component:
+                if self._component in self._listed:
+                    return self._listed[self._component]
+            else:
+                own = [camera for component, camera in sorted(self._listed.items()) if component > 6]
+                if own:
+                    return own[0]
+                beats = any(kind == _MAV_TYPE_CAMERA for kind, _ in self._link.components.values())
+                if self._listed and not beats and time.monotonic() - since > _PREFER_S:
+                    return next(iter(self._listed.values()))
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(0.25):
+                    await self._list_changed.wait()
+
+    def _report_captured(self, message: MavMessage) -> None:
+        self._heard_s = time.monotonic()
+        report = captured_report(message, self._stamps)
+        self._last_index = max(self._last_index, report.index)
+        if not self._recalling:  # what was asked for anew proves no photo of ours
+            self._ledger.report(report)
+
+    def _report_feedback(self, message: MavMessage) -> None:
+        if self._recalling:
+            return
+        self._ledger.report(feedback_report(message, pin=self._found is not None and self._found.feedback_pin))
+
+    async def _ask_for_news(self, capture: Capture) -> None:
+        """Look for the file of a reported photo; else ask for the count of images, and for a report that was lost.
+
+        The first image has the index 0 by the protocol and 1 with some cameras; so after the last report comes the
+        next index, and before the first one the count tells, less one.
+        """
+        link, target = self._link, self._target
+        if capture.known.level >= EvidenceLevel.CAPTURE_MESSAGE:
+            if file_is_there(capture.known.file_url):
+                capture.file_seen(link.clock.monotonic())
+            return
+        status = await link.requests.message(CAPTURE_STATUS, "CAMERA_CAPTURE_STATUS", component=target)
+        images = int(status.fields["image_count"])
+        if target != AUTOPILOT and images > 0:
+            index = self._last_index + 1 if self._last_index >= 0 else images - 1
+            await link.requests.command(REQUEST_MESSAGE, [IMAGE_CAPTURED, index], component=target)
+
+    def _why_not_found(self) -> str:
+        if not self._link.connected:
+            return "no heartbeats of the autopilot"
+        seen = ", ".join(str(component) for component in sorted(self._listed)) or "none"
+        if self._component and self._listed:
+            return f"component {self._component} was asked for, found were: {seen}"
+        beating = [component for component, (kind, _) in self._link.components.items() if kind == _MAV_TYPE_CAMERA]
+        if beating:
+            return f"component {beating[0]} beats as a camera but does not answer for CAMERA_INFORMATION (259)"
+        return (
+            "none answers for CAMERA_INFORMATION (259); a camera on a servo or relay: set CAM1_TYPE (ArduPilot) and "
+            "reboot; a MAVLink camera: is it on, and routed to us?"
+        )

@@ -1,0 +1,95 @@
+"""What a camera remembers of photos taken before this process listened: asked for, image by image.
+
+Sources: MAVLink common.xml, MAV_CMD_REQUEST_MESSAGE (512) with param2 as CAMERA_IMAGE_CAPTURED (263) reads it, the
+index of the image; CAMERA_CAPTURE_STATUS (262), whose image_count is the newest index plus one (some cameras count
+from 1). ArduPilot tells its last CAMERA_FEEDBACK (180) again when it is asked for it.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Final
+
+from panoexec.adapters.camera.capture_matching import StampClock
+from panoexec.adapters.camera.capture_messages import captured_report, feedback_report
+from panoexec.adapters.link.mavsdk_link import MavsdkLink
+from panoexec.adapters.link.message_hub import MavMessage
+from panoexec.devices import CaptureEvidence, Recollection, RememberedPhoto
+from panoexec.errors import DeviceError, LinkError
+
+CAPTURE_STATUS: Final = 262
+IMAGE_CAPTURED: Final = 263
+CAMERA_FEEDBACK: Final = 180
+LAST_IMAGES: Final = 4
+"""How many images are asked for: more than can have been in flight."""
+_ANSWER_S: Final = 2.0
+_ALL_S: Final = 4.0
+"""How long (real seconds) images are asked for that do not come."""
+_NO_CLOCK: Final = StampClock()
+
+
+async def recall_images(link: MavsdkLink, *, component: int) -> Recollection:
+    """The last images of a camera with a component of its own.
+
+    Raises:
+        DeviceError: it does not tell how many it has.
+        LinkError: no link.
+    """
+    status = await link.requests.message(CAPTURE_STATUS, "CAMERA_CAPTURE_STATUS", component=component)
+    count = int(status.fields["image_count"])
+    photos: list[RememberedPhoto] = []
+    deadline = time.monotonic() + _ALL_S
+    for index in range(count, max(-1, count - LAST_IMAGES - 1), -1):  # the newest matter most
+        if time.monotonic() > deadline:
+            break
+        try:
+            message = await link.requests.message(
+                IMAGE_CAPTURED,
+                "CAMERA_IMAGE_CAPTURED",
+                component=component,
+                timeout_s=_ANSWER_S,
+                index=index,
+                fits=lambda found, wanted=index: int(found.fields["image_index"]) == wanted,  # type: ignore[misc]
+            )
+        except LinkError:
+            raise
+        except DeviceError:
+            continue  # it has none of that number
+        report = captured_report(message, _NO_CLOCK)
+        if report.success:
+            photos.append(_remembered(link, report.evidence, status))
+    return Recollection(photos=tuple(reversed(photos)), image_count=count)
+
+
+async def recall_trigger(link: MavsdkLink, *, component: int, pin: bool) -> Recollection:
+    """The last photo that an autopilot triggered, and its count.
+
+    Raises:
+        DeviceError: it tells neither.
+        LinkError: no link.
+    """
+    status = await link.requests.message(CAPTURE_STATUS, "CAMERA_CAPTURE_STATUS", component=component)
+    count = int(status.fields["image_count"])
+    try:
+        message = await link.requests.message(
+            CAMERA_FEEDBACK, "CAMERA_FEEDBACK", component=component, timeout_s=_ANSWER_S
+        )
+    except LinkError:
+        raise
+    except DeviceError:
+        return Recollection(image_count=count)
+    found = feedback_report(message, pin=pin).evidence
+    return Recollection(photos=(_remembered(link, found, status),), image_count=count)
+
+
+def _remembered(link: MavsdkLink, found: CaptureEvidence, status: MavMessage) -> RememberedPhoto:
+    """The photo with its time on our wall clock: by its age on the camera's boot clock, else as the camera tells it."""
+    clock = link.clock
+    age_s = status.fields["time_boot_ms"] / 1000.0 - found.exposed_vehicle_s
+    answered_utc_s = clock.time() - (clock.monotonic() - status.received_s)
+    # a stamp from before a reboot of the camera says nothing
+    exposed_utc_s = answered_utc_s - age_s if age_s >= 0 else math.nan
+    return RememberedPhoto(
+        evidence=found, exposed_utc_s=found.time_utc_s if math.isnan(exposed_utc_s) else exposed_utc_s
+    )

@@ -1,0 +1,225 @@
+"""A cable release on a serial port: a pulse on RTS or DTR through an opto-coupler, or bytes to an adapter.
+
+Nothing comes back over such a cable. Where the camera's hot-shoe is wired to the autopilot's feedback pin, the
+autopilot's CAMERA_FEEDBACK proves the photos all the same.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Final, Literal, Protocol, Self, TypeAlias
+
+import serial
+import structlog
+
+from panoexec.adapters.camera.capture_matching import Capture, CaptureLedger
+from panoexec.adapters.camera.capture_messages import feedback_report
+from panoexec.adapters.link.message_hub import Handler, MavMessage
+from panoexec.adapters.link.worker_calls import WorkerCalls
+from panoexec.clock import Clock
+from panoexec.devices import PendingCapture
+from panoexec.errors import LinkError
+
+Line: TypeAlias = Literal["rts", "dtr", "bytes"]
+
+_CLOSE_S: Final = 2.0
+_WRITE_S: Final = 2.0
+
+_log = structlog.get_logger(__name__)
+
+
+class FeedbackSource(Protocol):
+    """Where CAMERA_FEEDBACK comes from: a `MavsdkLink`."""
+
+    def on(self, name: str, handler: Handler) -> Callable[[], None]:
+        """Call `handler` in another thread with each message; returns what ends it."""
+        ...
+
+    def post(self, callback: Callable[..., None], *args: object) -> None:
+        """Call back on the event loop."""
+        ...
+
+
+class SerialShutter:
+    """Implements `Camera`; an async context manager. The port heals: after a failure it is opened anew."""
+
+    def __init__(
+        self,
+        port: str,
+        *,
+        clock: Clock,
+        line: Line = "rts",
+        payload: bytes = b"",
+        pulse_s: float = 0.1,
+        inverted: bool = False,
+        baud: int = 9600,
+        feedback: FeedbackSource | None = None,
+        feedback_pin: bool = True,
+    ) -> None:
+        """Describe it; entering the context opens the port.
+
+        Args:
+            port: the serial device, best by its /dev/serial/by-id name.
+            clock: of the mission.
+            line: what closes the contact.
+            payload: bytes to send, for `line = "bytes"`.
+            pulse_s: how long the line is held, real seconds.
+            inverted: the contact is closed while the line is low. Linux raises RTS and DTR for a moment when a port is
+                opened, which an inverted release does not take for a photo.
+            baud: bits a second, for bytes.
+            feedback: where CAMERA_FEEDBACK comes from, if the hot-shoe is wired to the autopilot.
+            feedback_pin: whether CAMERA_FEEDBACK means the pin's signal.
+        """
+        self._port = port
+        self._clock = clock
+        self._line = line
+        self._payload = payload
+        self._pulse_s = pulse_s
+        self._inverted = inverted
+        self._baud = baud
+        self._feedback = feedback
+        self._feedback_pin = feedback_pin
+        self._serial: serial.Serial | None = None
+        self._calls = WorkerCalls("serial shutter", threads=1)
+        self._ledger = CaptureLedger()
+        self._numbers = 0
+        self._off: list[Callable[[], None]] = []
+
+    @property
+    def storage_free_images(self) -> float:
+        """A cable does not say."""
+        return math.inf
+
+    async def __aenter__(self) -> Self:
+        """Open the port.
+
+        Raises:
+            LinkError: it cannot be opened.
+        """
+        try:
+            await self._calls.run(self._open)
+        except BaseException:
+            self._calls.stop()
+            raise
+        if self._feedback is not None:
+            self._off.append(self._feedback.on("CAMERA_FEEDBACK", self._photo_reported))
+        return self
+
+    async def __aexit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Close the port, the contact open; waits for a pulse that is under way."""
+        for off in self._off:
+            off()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_CLOSE_S + self._pulse_s):
+                await self._calls.run(self._close)
+        self._calls.stop()
+
+    async def trigger(self) -> PendingCapture:
+        """See `Camera.trigger`; returns when the contact is closed or the bytes are sent.
+
+        Raises:
+            LinkError: the port is gone.
+        """
+        self._numbers += 1
+        capture = Capture(self._numbers, clock=self._clock, final=self._feedback is None)
+        capture.commanded(self._clock.monotonic())
+        self._ledger.enter(capture)
+        loop = asyncio.get_running_loop()
+        closed: asyncio.Future[None] = loop.create_future()
+
+        def fire() -> None:
+            port = self._open()
+            capture.commanded(self._clock.monotonic())
+            try:
+                self._start(port)
+                with contextlib.suppress(RuntimeError):  # the loop was closed: nobody waits any more
+                    loop.call_soon_threadsafe(_settle, closed)
+                self._end(port)
+            except (OSError, serial.SerialException) as error:
+                self._drop()
+                raise LinkError(f"serial shutter {self._port}: {_reason(error)}") from error
+
+        pulse = self._calls.submit(fire)
+        pulse.add_done_callback(_log_failure)  # whoever waits may be cancelled
+        await asyncio.wait({pulse, closed}, return_when=asyncio.FIRST_COMPLETED)
+        if not closed.done():
+            self._ledger.withdraw(capture)
+            pulse.result()
+        return capture
+
+    # --- in the worker thread
+
+    def _open(self) -> serial.Serial:
+        if self._serial is not None:
+            return self._serial
+        port = serial.Serial()
+        port.port, port.baudrate, port.write_timeout = self._port, self._baud, _WRITE_S
+        port.rts = port.dtr = self._inverted
+        try:
+            port.open()
+        except (OSError, serial.SerialException) as error:
+            raise LinkError(f"serial shutter {self._port}: {_reason(error)}") from error
+        self._serial = port
+        return port
+
+    def _start(self, port: serial.Serial) -> None:
+        if self._line == "bytes":
+            port.write(self._payload)
+            port.flush()
+        else:
+            self._set(port, closed=True)
+
+    def _end(self, port: serial.Serial) -> None:
+        if self._line != "bytes":
+            time.sleep(self._pulse_s)
+            self._set(port, closed=False)
+
+    def _set(self, port: serial.Serial, *, closed: bool) -> None:
+        level = closed != self._inverted
+        if self._line == "rts":
+            port.rts = level
+        else:
+            port.dtr = level
+
+    def _drop(self) -> None:
+        port, self._serial = self._serial, None
+        if port is not None:
+            with contextlib.suppress(OSError, serial.SerialException):
+                port.close()
+
+    def _close(self) -> None:
+        if self._serial is not None and self._line != "bytes":
+            with contextlib.suppress(OSError, serial.SerialException):
+                self._set(self._serial, closed=False)
+        self._drop()
+
+    # --- reports
+
+    def _photo_reported(self, message: MavMessage) -> None:
+        if self._feedback is not None:
+            self._feedback.post(self._take_report, message)
+
+    def _take_report(self, message: MavMessage) -> None:
+        self._ledger.report(feedback_report(message, pin=self._feedback_pin))
+
+
+def _settle(closed: asyncio.Future[None]) -> None:
+    if not closed.done():
+        closed.set_result(None)
+
+
+def _log_failure(pulse: asyncio.Future[None]) -> None:
+    if not pulse.cancelled() and (error := pulse.exception()) is not None:
+        _log.warning("a shutter pulse failed", error=str(error))
+
+
+def _reason(error: Exception) -> str:
+    strerror = getattr(error, "strerror", None)
+    return str(strerror or error)

@@ -1,0 +1,1 @@
+"""The gimbal by MAVLink gimbal protocol v2: commands, attitude messages and their time stamps."""

@@ -1,0 +1,159 @@
+"""The stream of attitudes as the mission reads it: what came lately, what comes next, and how the airframe stood."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Final, TypeVar
+
+from panoexec.adapters.gimbal.attitude_messages import interpolate
+from panoexec.devices import AttitudeSample, VehicleAttitude
+
+KEEP_S: Final = 60.0
+"""How long samples are kept, on the mission's clock (`AttitudeFeed.since`)."""
+
+PAIR_S: Final = 0.1
+"""Furthest in time that an airframe's attitude may be from the sample that it is paired with."""
+
+SOURCE_SILENT_S: Final = 1.0
+"""After this silence of the chosen source another one is taken."""
+
+
+class AttitudeBuffer:
+    """Implements `AttitudeFeed`; for the event loop.
+
+    An ArduPilot that drives a MAVLink gimbal sends a second, relabelled copy of the gimbal's own reports (always
+    "vehicle frame", rates and failures dropped); so reports of the gimbal itself are preferred to the autopilot's.
+    """
+
+    def __init__(self, *, autopilot_component: int = 1, catch_up: Callable[[], None] = lambda: None) -> None:
+        """Describe it.
+
+        Args:
+            autopilot_component: MAVLink's number of it.
+            catch_up: called before each look; puts in what has come.
+        """
+        self._autopilot_component = autopilot_component
+        self._catch_up = catch_up
+        self._samples: deque[AttitudeSample] = deque()
+        self._vehicle: deque[VehicleAttitude] = deque()
+        self._source: int | None = None
+        self._source_s = -math.inf
+        self._waiters: list[asyncio.Future[None]] = []
+
+    @property
+    def source_component(self) -> int | None:
+        """Component that the samples come from, None before the first."""
+        return self._source
+
+    @property
+    def is_awaited(self) -> bool:
+        """Whether somebody waits for the next sample; may be asked in any thread."""
+        return bool(self._waiters)
+
+    def put_sample(self, sample: AttitudeSample, component: int) -> bool:
+        """Take a report of the gimbal; False if another component is listened to."""
+        if not self._from_chosen_source(component, sample.received_s):
+            return False
+        _keep(self._samples, sample)
+        for waiter in self._waiters:
+            if not waiter.done():
+                waiter.set_result(None)
+        return True
+
+    def put_vehicle(self, attitude: VehicleAttitude) -> None:
+        """Take a report of the airframe."""
+        _keep(self._vehicle, attitude)
+
+    def rebooted(self) -> None:
+        """Forget the airframe's attitudes, whose time stamps mean nothing after a reboot."""
+        self._catch_up()
+        self._vehicle.clear()
+
+    @property
+    def latest(self) -> AttitudeSample | None:
+        """See `AttitudeFeed.latest`."""
+        self._catch_up()
+        return self._samples[-1] if self._samples else None
+
+    def since(self, received_s: float) -> Sequence[AttitudeSample]:
+        """See `AttitudeFeed.since`."""
+        self._catch_up()
+        out: list[AttitudeSample] = []
+        for sample in reversed(self._samples):
+            if sample.received_s <= received_s:
+                break
+            out.append(sample)
+        out.reverse()
+        return out
+
+    async def newer_than(self, received_s: float) -> AttitudeSample:
+        """See `AttitudeFeed.newer_than`."""
+        loop = asyncio.get_running_loop()
+        while True:
+            waiter = loop.create_future()
+            self._waiters.append(waiter)
+            try:
+                found = self.since(received_s)
+                if found:
+                    return found[0]
+                await waiter
+            finally:
+                self._waiters.remove(waiter)
+
+    def vehicle_attitude_at(self, sample: AttitudeSample) -> VehicleAttitude | None:
+        """See `AttitudeFeed.vehicle_attitude_at`; between two reports it is interpolated, after the last continued.
+
+        Paired by the senders' boot time when the autopilot stamped both, else by arrival (a gimbal has its own clock).
+        """
+        self._catch_up()
+        if self._source == self._autopilot_component and math.isfinite(sample.vehicle_s):
+            return _nearest(self._vehicle, sample.vehicle_s, lambda attitude: attitude.vehicle_s)
+        return _nearest(self._vehicle, sample.received_s, lambda attitude: attitude.received_s)
+
+    def _from_chosen_source(self, component: int, now_s: float) -> bool:
+        if component != self._source:
+            better = self._source is None or self._source == self._autopilot_component
+            if not better and now_s - self._source_s <= SOURCE_SILENT_S:
+                return False
+            self._source = component
+        self._source_s = now_s
+        return True
+
+
+_Stamped = TypeVar("_Stamped", AttitudeSample, VehicleAttitude)
+
+
+def _keep(kept: deque[_Stamped], newest: _Stamped) -> None:
+    kept.append(newest)
+    while kept[0].received_s < newest.received_s - KEEP_S:
+        kept.popleft()
+
+
+def _nearest(
+    attitudes: deque[VehicleAttitude], time_s: float, stamp: Callable[[VehicleAttitude], float]
+) -> VehicleAttitude | None:
+    """The attitude at `time_s`: interpolated between its neighbours, continued from the two before, or the nearest.
+
+    Continued by no more than the time between those two, so that errors grow no more than threefold; None if none is
+    near enough. By bisection: while a backlog is worked off, the wanted one is far from the newest, and a search from
+    there would make the backlog grow.
+    """
+    after = bisect_right(attitudes, time_s, key=stamp)
+    earlier = attitudes[after - 1] if after > 0 else None
+    later = attitudes[after] if after < len(attitudes) else None
+    if earlier is not None and time_s - stamp(earlier) > PAIR_S:
+        earlier = None
+    if later is not None and stamp(later) - time_s > PAIR_S:
+        later = None
+    if earlier is not None and later is not None:
+        return interpolate(earlier, later, (time_s - stamp(earlier)) / (stamp(later) - stamp(earlier)))
+    if earlier is not None and after > 1:
+        previous = attitudes[after - 2]
+        since_s, step_s = time_s - stamp(earlier), stamp(earlier) - stamp(previous)
+        if since_s <= step_s <= PAIR_S:
+            return interpolate(previous, earlier, 1.0 + since_s / step_s if step_s > 0 else 1.0)
+    return earlier or later

@@ -1,0 +1,1 @@
+"""The MAVLink connection through MAVSDK: session, requests, messages, streams."""

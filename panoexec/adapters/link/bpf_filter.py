@@ -1,0 +1,131 @@
+"""Has the kernel drop datagrams that a waiting daemon has no use for, before they cost anything.
+
+A gimbal that is its own component reports 50 times a second, asked or not. Each report that reaches MAVSDK is parsed
+and put into JSON there, whoever listens: 0.15 ms, together more than all else that a daemon does while it waits. Asking
+the gimbal for less would take the reports from everybody else on the vehicle too. So the socket that MAVSDK listens on
+gets a classic BPF filter (socket(7), SO_ATTACH_FILTER), which others do not notice, and loses it again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import socket
+import stat
+import struct
+import sys
+from pathlib import Path
+from typing import Final
+
+from panoexec.adapters.link.connection_url import ConnectionUrl
+
+_SO_ATTACH_FILTER: Final = 26
+_SO_DETACH_FILTER: Final = 27
+_UDP_HEADER: Final = 8
+_MAGIC: Final = 0xFD
+_FRAME: Final = 12
+"""A MAVLink 2 frame without payload and signature: ten bytes of header, two of checksum."""
+
+# linux/bpf_common.h: load a byte, half a word, the length; add, copy to X, jump if not less, if equal, if X; return
+_LDB, _LDH, _LEN, _ADD, _TAX, _JGE, _JEQ, _JEQ_X, _RET = 0x30, 0x28, 0x80, 0x04, 0x07, 0x35, 0x15, 0x1D, 0x06
+
+
+def filter_program(message_id: int) -> bytes:
+    """A filter that drops datagrams which are one unsigned MAVLink 2 frame of this message, and nothing else.
+
+    The filter of a UDP socket sees the UDP header first.
+    """
+    low, middle, high = message_id.to_bytes(3, "little")
+    at = _UDP_HEADER
+    keep = 14
+    program = [
+        (_LEN, 0, 0, 0),  # a load beyond the end would drop
+        (_JGE, 0, keep - 2, _FRAME + _UDP_HEADER),
+        (_LDB, 0, 0, at),
+        (_JEQ, 0, keep - 4, _MAGIC),
+        (_LDH, 0, 0, at + 7),
+        (_JEQ, 0, keep - 6, low << 8 | middle),
+        (_LDB, 0, 0, at + 9),
+        (_JEQ, 0, keep - 8, high),
+        (_LDB, 0, 0, at + 1),
+        (_ADD, 0, 0, _FRAME + _UDP_HEADER),
+        (_TAX, 0, 0, 0),
+        (_LEN, 0, 0, 0),
+        (_JEQ_X, 0, 1, 0),
+        (_RET, 0, 0, 0),
+        (_RET, 0, 0, 0xFFFFFFFF),
+    ]
+    return b"".join(struct.pack("HBBI", *instruction) for instruction in program)
+
+
+class DatagramMute:
+    """Mutes one message on the socket of this process that listens on a URL's port; for other URLs it does nothing.
+
+    Args:
+        url: where MAVSDK listens.
+        message_id: what to drop.
+    """
+
+    def __init__(self, url: ConnectionUrl, message_id: int) -> None:
+        self._port = url.port if url.kind == "udpin" and sys.platform == "linux" else None
+        self._program = filter_program(message_id)
+        self._found: tuple[int, int] | None = None
+
+    def mute(self) -> None:
+        """Drop the message from now on."""
+        code = ctypes.create_string_buffer(self._program)
+        program = struct.pack("HP", len(self._program) // 8, ctypes.addressof(code))
+        self._set(_SO_ATTACH_FILTER, program)
+
+    def unmute(self) -> None:
+        """Let everything through again."""
+        self._set(_SO_DETACH_FILTER, struct.pack("i", 0))
+
+    def _set(self, option: int, value: bytes) -> None:
+        """Set the option on the socket, if there is one: it comes and goes with the connection, which is not ours."""
+        if self._port is None:
+            return
+        if self._found is None or not _is(self._found):
+            self._found = _listening_on(self._port)
+        if self._found is None:
+            return
+        descriptor, inode = self._found
+        with contextlib.suppress(OSError):  # closed meanwhile; or nothing to detach
+            copy = os.dup(descriptor)
+            try:
+                if os.fstat(copy).st_ino == inode:
+                    _setsockopt(copy, option, value)
+            finally:
+                os.close(copy)
+
+
+def _setsockopt(descriptor: int, option: int, value: bytes) -> None:
+    same = socket.socket(fileno=descriptor)
+    try:
+        same.setsockopt(socket.SOL_SOCKET, option, value)
+    finally:
+        same.detach()
+
+
+def _is(found: tuple[int, int]) -> bool:
+    try:
+        return os.fstat(found[0]).st_ino == found[1]
+    except OSError:
+        return False
+
+
+def _listening_on(port: int) -> tuple[int, int] | None:
+    """Descriptor and inode of our UDP socket with that local port."""
+    for entry in Path("/proc/self/fd").iterdir():
+        descriptor = int(entry.name)
+        with contextlib.suppress(OSError):
+            status = os.fstat(descriptor)
+            if not stat.S_ISSOCK(status.st_mode):
+                continue
+            same = socket.socket(fileno=os.dup(descriptor))
+            with same:
+                internet = same.family in (socket.AF_INET, socket.AF_INET6) and same.type == socket.SOCK_DGRAM
+                if internet and same.getsockname()[1] == port:
+                    return descriptor, status.st_ino
+    return None

@@ -1,0 +1,344 @@
+"""The connection to an autopilot: opened, found, kept alive, and asked again for its streams when it forgot them.
+
+`MavsdkLink` heals by itself: an autopilot may be absent when it is opened, reboot, or vanish; a serial device may be
+unplugged. The devices built on it (`MavsdkGimbal`, `MavsdkCamera`, `MavsdkVehicle`) stay valid all along.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import Final, Self
+
+import structlog
+from mavsdk import Autopilot
+from mavsdk.plugins.mavlink_direct import MavlinkDirect
+
+from panoexec.adapters.link.bpf_filter import DatagramMute
+from panoexec.adapters.link.connection_url import ConnectionUrl, parse_connection
+from panoexec.adapters.link.mavsdk_errors import quiet_vendor_log
+from panoexec.adapters.link.mavsdk_requests import MavsdkRequests
+from panoexec.adapters.link.mavsdk_session import VendorSession
+from panoexec.adapters.link.message_hub import Handler, MavMessage, MessageHub
+from panoexec.adapters.link.stream_health import DEFAULT_STREAMS, HEARTBEAT_LOST_S, Stream
+from panoexec.adapters.link.stream_keeper import AUTOPILOT, StreamKeeper
+from panoexec.adapters.link.worker_calls import WorkerCalls
+from panoexec.clock import Clock
+from panoexec.errors import LinkError
+
+DEFAULT_COMPONENT: Final = 191
+"""MAV_COMP_ID_ONBOARD_COMPUTER."""
+
+FAST_STREAMS: Final = ("GIMBAL_DEVICE_ATTITUDE_STATUS", "ATTITUDE")
+_GIMBAL_REPORTS: Final = ("GIMBAL_DEVICE_ATTITUDE_STATUS", 285)
+_TICK_S: Final = 0.25
+_SPARING_TICK_S: Final = 1.0
+_LOOK_S: Final = 0.05
+_SILENT_REOPEN_S: Final = 5.0
+
+_log = structlog.get_logger(__name__)
+
+
+class MavsdkLink:
+    """An async context manager around one MAVSDK connection.
+
+    Attributes:
+        url: how the autopilot is reached.
+        clock: of the mission; stamps messages.
+        requests: what can be asked of the vehicle.
+        streams: what is asked for and how it flows.
+        components: components of the vehicle that beat: id to (MAV_TYPE, real time of the last heartbeat).
+    """
+
+    def __init__(
+        self,
+        url: str | ConnectionUrl,
+        *,
+        clock: Clock,
+        component_id: int = DEFAULT_COMPONENT,
+        system_id: int | None = None,
+        vehicle_system_id: int | None = None,
+        streams: Sequence[Stream] = DEFAULT_STREAMS,
+        patient: bool = False,
+        sparing: bool = False,
+    ) -> None:
+        """Describe the link; entering the context opens it.
+
+        Args:
+            url: how to reach the autopilot; see `parse_connection`.
+            clock: of the mission.
+            component_id: our MAVLink component, unique on the vehicle.
+            system_id: our MAVLink system; None takes the vehicle's, once it is known.
+            vehicle_system_id: which vehicle, where one connection carries several; None takes the first.
+            streams: messages to ask for.
+            patient: a serial device or a host that is absent when the link is opened is waited for, not an error.
+            sparing: look at fast streams only once a second (of real time) from `use_rates(active=False)` on.
+
+        Raises:
+            UsageError: the URL is wrong.
+        """
+        self.url = parse_connection(url) if isinstance(url, str) else url
+        self.clock = clock
+        self.components: dict[int, tuple[int, float]] = {}
+        self._component = component_id
+        self._own_system = system_id
+        self._vehicle_system = vehicle_system_id
+        self._patient = patient
+        self._sparing = sparing
+        self._calls = WorkerCalls("mavsdk")
+        self._session = VendorSession(self.url, self._calls)
+        self._muted = DatagramMute(self.url, _GIMBAL_REPORTS[1])
+        self._hub = MessageHub(clock, self.post, mute=self._mute)
+        self.requests = MavsdkRequests(
+            self._session,
+            self._calls,
+            self._hub,
+            clock=clock,
+            system_id=vehicle_system_id or 1,
+            connected=lambda: self.connected,
+            post=self.post,
+        )
+        self.streams = StreamKeeper(
+            streams,
+            hub=self._hub,
+            clock=clock,
+            command=self.requests.command,
+            rebooted=lambda: self.post(self._came_back),
+        )
+        self._on_attached: list[Callable[[], None]] = []
+        self._on_return: list[Callable[[], None]] = []
+        self._found = asyncio.Event()
+        self._alive = asyncio.Event()
+        self._nudge = asyncio.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._stack = contextlib.AsyncExitStack()
+        self._heartbeat_s = -math.inf
+        self._twin_beats = 0
+        self._hub.on("HEARTBEAT", self._heartbeat)
+
+    # --- state
+
+    @property
+    def connected(self) -> bool:
+        """Whether heartbeats of the autopilot arrive."""
+        return self.heartbeat_age_s < HEARTBEAT_LOST_S
+
+    @property
+    def heartbeat_age_s(self) -> float:
+        """Real seconds since the autopilot's last heartbeat; infinity before the first."""
+        return time.monotonic() - self._heartbeat_s
+
+    @property
+    def boot_count(self) -> int:
+        """How many reboots of the autopilot were noticed."""
+        return self.streams.boots.reboots
+
+    @property
+    def vehicle_system_id(self) -> int | None:
+        """MAVLink system of the vehicle, None until it was found."""
+        return self._vehicle_system if self._found.is_set() else None
+
+    @property
+    def is_ardupilot(self) -> bool:
+        """Whether the autopilot is an ArduPilot; False before it was found."""
+        system = self._session.system
+        return system is not None and system.autopilot_type() is Autopilot.ARDUPILOT
+
+    @property
+    def own_ids(self) -> tuple[int, int]:
+        """Our MAVLink system and component."""
+        return self._own_system or 1, self._component
+
+    @property
+    def has_twin(self) -> bool:
+        """Whether somebody else on the vehicle beats with our ids: two daemons, or a wrong component_id."""
+        return self._twin_beats >= 2
+
+    # --- life
+
+    async def __aenter__(self) -> Self:
+        """Open the connection; does not wait for the autopilot.
+
+        Raises:
+            LinkError: the port is in use, or the device cannot be opened (unless `patient`).
+        """
+        quiet_vendor_log()
+        self._loop = asyncio.get_running_loop()
+        async with contextlib.AsyncExitStack() as stack:
+            stack.callback(self._calls.stop)
+            stack.push_async_callback(self._close)
+            await self._open()
+            group = await stack.enter_async_context(asyncio.TaskGroup())
+            keeper = group.create_task(self._keep(), name="mavsdk link")
+            stack.callback(keeper.cancel)
+            self._stack = stack.pop_all()
+        return self
+
+    async def __aexit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> bool | None:
+        """Close the connection; see `VendorSession.close` for how long that takes."""
+        try:
+            return await self._stack.__aexit__(exc_type, exc, traceback)
+        except BaseExceptionGroup as failures:
+            ours = [failure for failure in failures.exceptions if failure is not exc]
+            if ours:
+                raise ours[0] from exc
+            return None  # what the block raised passes as it is, not wrapped in a group
+
+    async def wait_autopilot(self, timeout_s: float) -> None:
+        """Return when the autopilot was found and beats.
+
+        Args:
+            timeout_s: real seconds to wait at most.
+
+        Raises:
+            LinkError: it was not; says what to look at.
+        """
+        try:
+            async with asyncio.timeout(timeout_s):
+                await self._alive.wait()
+        except TimeoutError as error:
+            hint = {
+                "serial": "is it powered, the cable in the right port, the baud rate that of SERIALx_BAUD?",
+                "udpin": "is it on, and does it (or the router) send to this port?",
+            }.get(self.url.kind, "is it on, and does it listen there?")
+            raise LinkError(f"no autopilot on {self.url} within {timeout_s:g} s: {hint}") from error
+
+    # --- for the devices
+
+    def on(self, name: str, handler: Handler) -> Callable[[], None]:
+        """Call `handler`, in the vendor's thread, with each message of that name; returns what ends it."""
+        return self._hub.on(name, handler)
+
+    def when_attached(self, callback: Callable[[], None]) -> Callable[[], None]:
+        """Call back, on the loop, when plugins can be made: at once if they can be now; returns what ends it."""
+        if self._session.system is not None:
+            callback()
+        return _listed(self._on_attached, callback)
+
+    def when_back(self, callback: Callable[[], None]) -> Callable[[], None]:
+        """Call back, on the loop, whenever the autopilot rebooted or came back; returns what ends it."""
+        return _listed(self._on_return, callback)
+
+    def post(self, callback: Callable[..., None], *args: object) -> None:
+        """Call back on the loop; for the vendor's thread. Nothing happens once the loop is closed."""
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):
+                self._loop.call_soon_threadsafe(callback, *args)
+
+    async def use_rates(self, *, active: bool) -> None:
+        """Ask for the rates of a flying mission, or for those of waiting. What fails is tried again by itself."""
+        self.streams.active = active
+        self._nudge.set()
+        self._hub.spare(FAST_STREAMS if self._sparing and not active else ())
+        if self.connected:
+            await self.streams.ask()
+
+    # --- in the vendor's thread
+
+    def _heartbeat(self, message: MavMessage) -> None:
+        now = time.monotonic()
+        self.components[message.component_id] = (int(message.fields["type"]), now)
+        if message.component_id == AUTOPILOT:
+            was_away = now - self._heartbeat_s >= HEARTBEAT_LOST_S
+            self._heartbeat_s = now
+            if was_away:
+                self.post(self._came_back)
+        elif (self._vehicle_system, message.component_id) == self.own_ids:
+            self._twin_beats += 1
+
+    # --- on the loop
+
+    def _came_back(self) -> None:
+        _log.info("the autopilot rebooted or came back", reboots=self.boot_count)
+        self._alive.set()
+        self._session.heard()
+        self.streams.forget()
+        self._nudge.set()
+        for callback in tuple(self._on_return):
+            callback()
+
+    async def _keep(self) -> None:
+        """Find the autopilot, then look after its streams and the connection, for ever."""
+        await self._discover()
+        twin_told = False
+        while True:
+            self._nudge.clear()
+            self.streams.measure()
+            self._hub.listen_again()
+            if self.connected:
+                await self.streams.ask()
+            else:
+                self._alive.clear()
+                if self.url.kind in ("serial", "tcpout") and self.heartbeat_age_s > _SILENT_REOPEN_S:
+                    await self._session.reopen()
+            if self.has_twin and not twin_told:
+                twin_told = True
+                _log.error("another component of the vehicle uses our MAVLink ids", ids=self.own_ids)
+            with contextlib.suppress(TimeoutError):
+                # each look at streams and connection is a wakeup: a daemon that waits has time
+                waits = self._sparing and not self.streams.active and self.connected
+                async with asyncio.timeout(_SPARING_TICK_S if waits else _TICK_S):
+                    await self._nudge.wait()
+
+    async def _discover(self) -> None:
+        since = time.monotonic()
+        while (system := await self._session.find_vehicle(self._vehicle_system)) is None:
+            silent = time.monotonic() - since > _SILENT_REOPEN_S
+            if not self._session.is_open or (silent and self.url.kind == "serial"):
+                await self._session.reopen()
+            await asyncio.sleep(_TICK_S if silent else _LOOK_S)
+        vehicle = system.get_system_id()
+        self._vehicle_system = self.requests.system_id = vehicle
+        if self._own_system is None:
+            self._own_system = vehicle
+            if vehicle != 1:  # components of one vehicle share its system id, which is only known now
+                del system
+                await self._close()
+                await self._open()
+                await self._discover()
+                return
+        self._heartbeat_s = time.monotonic()
+        self._session.system = system
+        self._hub.attach(self.requests.plugin(MavlinkDirect))
+        # nothing is spared before somebody says that nothing flies: what looks for devices needs to hear them all
+        await self.streams.ask()
+        for callback in tuple(self._on_attached):
+            callback()
+        _log.info("autopilot found", url=str(self.url), system_id=vehicle)
+        self._found.set()
+        self._alive.set()
+
+    def _mute(self, name: str, muted: bool) -> None:
+        if name == _GIMBAL_REPORTS[0]:
+            if muted:
+                self._muted.mute()
+            else:
+                self._muted.unmute()
+
+    async def _open(self) -> None:
+        try:
+            await self._session.open(*self.own_ids)
+        except LinkError as error:
+            if not self._patient or self.url.listens:
+                raise
+            _log.warning("waiting for the way to the autopilot", error=str(error))
+
+    async def _close(self) -> None:
+        self._hub.detach()
+        await self._session.close()
+
+
+def _listed(callbacks: list[Callable[[], None]], callback: Callable[[], None]) -> Callable[[], None]:
+    callbacks.append(callback)
+
+    def off() -> None:
+        with contextlib.suppress(ValueError):
+            callbacks.remove(callback)
+
+    return off

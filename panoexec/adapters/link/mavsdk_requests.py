@@ -1,0 +1,217 @@
+"""What is asked of an autopilot and the devices beside it: commands, messages, parameters, calls of MAVSDK's plugins.
+
+Nothing here waits for a connection: a request without one ends in an error, and whoever made it asks again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final, TypeVar
+
+import structlog
+from mavsdk import MavsdkError, System
+from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
+from mavsdk.plugins.param import Param, ParamError, ParamResult
+
+from panoexec.adapters.link.mavsdk_errors import MAV_RESULTS, device_error
+from panoexec.adapters.link.mavsdk_session import VendorSession
+from panoexec.adapters.link.message_hub import MavMessage, MessageHub
+from panoexec.adapters.link.stream_keeper import AUTOPILOT
+from panoexec.adapters.link.worker_calls import WorkerCalls
+from panoexec.clock import Clock, work
+from panoexec.devices import Severity
+from panoexec.errors import DeviceError, LinkError
+
+T = TypeVar("T")
+P = TypeVar("P")
+
+REQUEST_MESSAGE: Final = 512
+_PARAMETER_TRIES: Final = 3
+_PARAMETER_PAUSE_S: Final = 0.2
+
+_log = structlog.get_logger(__name__)
+
+
+class MavsdkRequests:
+    """The requests of one `MavsdkLink`; valid as long as that is, whatever becomes of the connection.
+
+    Attributes:
+        system_id: MAVLink system of the vehicle that is asked; the link sets it when it has found another.
+    """
+
+    def __init__(
+        self,
+        session: VendorSession,
+        calls: WorkerCalls,
+        hub: MessageHub,
+        *,
+        clock: Clock,
+        system_id: int,
+        connected: Callable[[], bool],
+        post: Callable[..., None],
+    ) -> None:
+        """Describe them; nothing is sent.
+
+        Args:
+            session: makes plugins for the vehicle, once it was found.
+            calls: runs what blocks.
+            hub: where answers arrive.
+            clock: of the mission; told when it has to wait for an answer.
+            system_id: see the attribute.
+            connected: whether heartbeats of the autopilot arrive.
+            post: calls back on the event loop, from the vendor's thread.
+        """
+        self.system_id = system_id
+        self._session = session
+        self._calls = calls
+        self._hub = hub
+        self._clock = clock
+        self._connected = connected
+        self._post = post
+
+    def plugin(self, kind: Callable[[System], P]) -> P:
+        """The one instance of a MAVSDK plugin.
+
+        Raises:
+            LinkError: the autopilot has not been found yet.
+        """
+        return self._session.plugin(kind)
+
+    async def vendor_call(self, what: str, call: Callable[[], T]) -> T:
+        """Run a blocking call of MAVSDK in a thread.
+
+        Args:
+            what: in words, for messages: "pointing the gimbal".
+            call: is not interrupted when this is cancelled.
+
+        Raises:
+            DeviceError: refused or not answered.
+            LinkError: not answered, and no heartbeats either; or the link is closed.
+        """
+        try:
+            with work(self._clock):
+                return await self._calls.run(call)
+        except MavsdkError as error:
+            raise device_error(what, error, connected=self._connected()) from error
+        except RuntimeError as error:  # a plugin whose connection was closed
+            raise LinkError(f"{what}: the link is closed") from error
+
+    async def command(self, command: int, params: Sequence[float] = (), *, component: int = AUTOPILOT) -> int:
+        """Send a COMMAND_LONG and return its MAV_RESULT.
+
+        Args:
+            command: MAV_CMD.
+            params: the first of its seven parameters; the others are 0.
+            component: the target.
+
+        Raises:
+            DeviceError: not answered, or not sent.
+            LinkError: as `vendor_call`.
+        """
+        system = self.system_id
+        fields: dict[str, float] = {"target_system": system, "target_component": component, "command": command}
+        fields["confirmation"] = 0
+        for number in range(1, 8):
+            fields[f"param{number}"] = params[number - 1] if number <= len(params) else 0.0
+        message = MavlinkMessage("COMMAND_LONG", 0, 0, system, component, json.dumps(fields, allow_nan=False))
+        direct = self.plugin(MavlinkDirect)
+        ack = await self.vendor_call(f"command {command}", lambda: direct.send_command(message))
+        return int(json.loads(ack.fields_json)["result"])
+
+    async def message(
+        self,
+        message_id: int,
+        name: str,
+        *,
+        component: int = AUTOPILOT,
+        timeout_s: float = 2.0,
+        index: int = 0,
+        fits: Callable[[MavMessage], bool] = lambda _: True,
+    ) -> MavMessage:
+        """Ask once for a message (MAV_CMD_REQUEST_MESSAGE, 512) and return it.
+
+        Args:
+            message_id: MAVLink's number of it.
+            name: MAVLink's name of it.
+            component: of whom.
+            timeout_s: real seconds that it may take after the answer to the request.
+            index: param2 of the request: which one, where there are several.
+            fits: whether a message of that name is the one asked for.
+
+        Raises:
+            DeviceError: refused, or it did not come within `timeout_s` real seconds after the answer.
+            LinkError: as `vendor_call`.
+        """
+        arrived: asyncio.Future[MavMessage] = asyncio.get_running_loop().create_future()
+
+        def deliver(message: MavMessage) -> None:
+            if not arrived.done() and fits(message):
+                arrived.set_result(message)
+
+        off = self._hub.on(name, lambda m: self._post(deliver, m) if m.component_id == component else None)
+        try:
+            result = await self.command(REQUEST_MESSAGE, [message_id, index], component=component)
+            if result != 0:
+                raise DeviceError(f"asking for {name} ({message_id}): {MAV_RESULTS.get(result, result)}")
+            async with asyncio.timeout(timeout_s):
+                return await arrived
+        except TimeoutError as error:
+            raise DeviceError(f"asking for {name} ({message_id}): accepted, but it did not come") from error
+        finally:
+            off()
+
+    async def parameter(self, name: str) -> float | None:
+        """A parameter of the autopilot; None if it has none of that name, or does not answer.
+
+        Raises:
+            LinkError: the autopilot has not been found yet.
+        """
+        plugin = self.plugin(Param)
+
+        def read() -> float:
+            try:
+                return float(plugin.get_param_int(name))
+            except ParamError as error:
+                if error.result != ParamResult.WRONG_TYPE:
+                    raise
+            return float(plugin.get_param_float(name))
+
+        for left in reversed(range(_PARAMETER_TRIES)):
+            try:
+                return await self.vendor_call(f"reading {name}", read)
+            except DeviceError as error:
+                # an autopilot that has just been found may not answer the first time; what a mount's reports are worth
+                # hangs on the answer
+                _log.debug("a parameter was not told", name=name, error=str(error))
+                if left:
+                    await asyncio.sleep(_PARAMETER_PAUSE_S)
+        return None
+
+    async def send(self, what: str, name: str, fields: Mapping[str, object]) -> None:
+        """Send a message that nobody acknowledges.
+
+        Args:
+            what: in words, for messages.
+            name: MAVLink's name of it.
+            fields: by MAVLink's names.
+
+        Raises:
+            DeviceError: not sent.
+            LinkError: as `vendor_call`.
+        """
+        message = MavlinkMessage(name, fields_json=json.dumps(fields, allow_nan=False))
+        direct = self.plugin(MavlinkDirect)
+        await self.vendor_call(what, lambda: direct.send_message(message))
+
+    async def say(self, text: str, severity: Severity = Severity.NOTICE) -> None:
+        """Tell the pilot's ground station (STATUSTEXT, 253), in lines of 50 characters; never raises."""
+        for line in textwrap.wrap(text.encode("ascii", "replace").decode(), 50):
+            fields = {"severity": int(severity), "text": line, "id": 0, "chunk_seq": 0}
+            try:
+                await self.send("telling the pilot", "STATUSTEXT", fields)
+            except DeviceError as error:
+                _log.info("the pilot was not told", text=text, error=str(error))
+                return

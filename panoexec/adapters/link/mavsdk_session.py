@@ -1,0 +1,139 @@
+"""One `Mavsdk` instance with its connection, its vehicle and the plugins made for it; opened, reopened, destroyed."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, Final, TypeVar
+
+import structlog
+from mavsdk import Configuration, Mavsdk, System
+
+from panoexec.adapters.link.connection import close_connection, open_connection
+from panoexec.adapters.link.connection_url import ConnectionUrl
+from panoexec.adapters.link.worker_calls import WorkerCalls
+from panoexec.errors import LinkError
+
+P = TypeVar("P")
+
+_DRAIN_S: Final = 3.0
+_DESTROY_S: Final = 3.0
+_REOPEN_S: Final = 1.0
+_REOPEN_MOST_S: Final = 10.0
+
+_log = structlog.get_logger(__name__)
+
+
+class VendorSession:
+    """Owns what must be released in order. All methods are for the event loop; what blocks runs in worker threads."""
+
+    def __init__(self, url: ConnectionUrl, calls: WorkerCalls) -> None:
+        self.system: System | None = None
+        """The vehicle, once it was found."""
+        self._url = url
+        self._calls = calls
+        self._mavsdk: Mavsdk | None = None
+        self._made: list[Mavsdk] = []
+        self._connection: Any = None
+        self._plugins: dict[Any, Any] = {}
+        self._next_open_s = 0.0
+        self._patience_s = _REOPEN_S
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a connection, alive or not."""
+        return self._connection is not None
+
+    async def open(self, system_id: int, component_id: int) -> None:
+        """Create MAVSDK with our ids and open the connection.
+
+        Raises:
+            LinkError: the connection cannot be opened; `reopen` may try again.
+        """
+
+        def create() -> Mavsdk:
+            configuration = Configuration.create_manual(system_id, component_id, always_send_heartbeats=True)
+            try:
+                mavsdk = Mavsdk(configuration)
+            finally:
+                configuration.destroy()
+            self._made.append(mavsdk)  # whoever waits for it may be cancelled meanwhile, and it must be destroyed
+            return mavsdk
+
+        self._mavsdk = mavsdk = await self._calls.run(create)
+        self._connection = await self._calls.run(lambda: open_connection(mavsdk, self._url))
+
+    async def reopen(self) -> None:
+        """Open the connection anew if patience is over; may be called as often as one likes."""
+        mavsdk, now = self._mavsdk, time.monotonic()
+        if mavsdk is None or now < self._next_open_s:
+            return
+        self._next_open_s = now + self._patience_s
+        self._patience_s = min(2 * self._patience_s, _REOPEN_MOST_S)
+        old, self._connection = self._connection, None
+        if old is not None:
+            await self._calls.run(lambda: close_connection(mavsdk, old))
+        try:
+            self._connection = await self._calls.run(lambda: open_connection(mavsdk, self._url))
+        except LinkError as error:
+            _log.debug("still no connection", error=str(error))
+        else:
+            _log.info("connection opened again", url=str(self._url))
+
+    def heard(self) -> None:
+        """The vehicle is there: the next silence is met with fresh patience."""
+        self._patience_s = _REOPEN_S
+        self._next_open_s = 0.0
+
+    async def find_vehicle(self, wanted: int | None) -> System | None:
+        """The first system with an autopilot, or the one of that id; None while there is none."""
+        mavsdk = self._mavsdk
+        if mavsdk is None:
+            return None
+        for system in await self._calls.run(mavsdk.get_systems):
+            if system.has_autopilot() and system.is_connected() and wanted in (None, system.get_system_id()):
+                found: System = system
+                return found
+        return None
+
+    def plugin(self, kind: Callable[[System], P]) -> P:
+        """The one instance of a plugin.
+
+        Raises:
+            LinkError: there is no vehicle yet.
+        """
+        if self.system is None:
+            raise LinkError(f"no autopilot on {self._url} yet")
+        if kind not in self._plugins:
+            self._plugins[kind] = kind(self.system)
+        plugin: P = self._plugins[kind]
+        return plugin
+
+    async def close(self) -> None:
+        """Let calls end, then destroy MAVSDK; 6 s at the very most, milliseconds when no call is under way.
+
+        A call that still runs then (only one that the autopilot reports progress of for ever) blocks its daemon thread
+        for good.
+        """
+        self._mavsdk = self.system = self._connection = None
+        self._plugins.clear()
+        if not await self._calls.drain(_DRAIN_S):
+            _log.warning("a call to the autopilot does not end")
+        made, self._made = self._made, []
+        if not made:
+            return
+        loop, gone = asyncio.get_running_loop(), asyncio.Event()
+
+        def destroy() -> None:
+            for mavsdk in made:
+                mavsdk.destroy()
+            with contextlib.suppress(RuntimeError):  # the loop was closed: nobody waits any more
+                loop.call_soon_threadsafe(gone.set)
+
+        threading.Thread(target=destroy, name="mavsdk destroy", daemon=True).start()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_DESTROY_S):
+                await gone.wait()

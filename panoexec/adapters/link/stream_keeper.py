@@ -1,0 +1,134 @@
+"""Keeps the streams flowing that a link needs, at the rates of the moment."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, TypeAlias
+
+from panoexec.adapters.link.message_hub import MavMessage, MessageHub
+from panoexec.adapters.link.stream_health import BootWatch, Stream, StreamWatch
+from panoexec.clock import Clock
+from panoexec.errors import DeviceError
+
+SET_MESSAGE_INTERVAL: Final = 511
+AUTOPILOT: Final = 1
+"""MAV_COMP_ID_AUTOPILOT1."""
+
+_MEASURE_S: Final = 2.0
+
+Command: TypeAlias = Callable[[int, Sequence[float]], Awaitable[int]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreamReport:
+    """How one stream does.
+
+    Attributes:
+        stream: which.
+        wanted_hz: what was asked for.
+        measured_hz: what arrived in the last seconds, by the mission's clock.
+        refused: the autopilot said that it cannot.
+        age_s: real seconds since the last one; infinity before the first.
+    """
+
+    stream: Stream
+    wanted_hz: float
+    measured_hz: float
+    refused: bool
+    age_s: float
+
+
+class StreamKeeper:
+    """Asks for streams, sees whether they flow, asks again; notices reboots by the time stamps in them."""
+
+    def __init__(
+        self,
+        streams: Sequence[Stream],
+        *,
+        hub: MessageHub,
+        clock: Clock,
+        command: Command,
+        rebooted: Callable[[], None],
+    ) -> None:
+        """Describe it; nothing happens before `ask`.
+
+        Args:
+            streams: what is needed.
+            hub: where messages arrive.
+            clock: of the mission.
+            command: sends a command to the autopilot, returns its MAV_RESULT, raises DeviceError.
+            rebooted: called in the vendor's thread.
+        """
+        self.active = False
+        """Whether the rates of a flying mission are wanted."""
+        self.spared: dict[int, float] = {}
+        """Rates, Hz, of messages (by number) that are wanted less often for now than their stream says."""
+        self.boots = BootWatch()
+        self._watches = [StreamWatch(stream) for stream in streams]
+        self._measured = {stream.name: (0, clock.monotonic(), 0.0) for stream in streams}
+        self._clock = clock
+        self._command = command
+        self._rebooted = rebooted
+        self._asking = asyncio.Lock()
+        for watch in self._watches:
+            hub.on(watch.stream.name, partial(self._arrived, watch))
+
+    def forget(self) -> None:
+        """The autopilot has forgotten, or may have: ask for everything at once."""
+        for watch in self._watches:
+            watch.forget()
+
+    async def ask(self) -> None:
+        """Ask for what is missing and due. Never raises for an autopilot that refuses or does not answer."""
+        async with self._asking:
+            for watch in self._watches:
+                wanted, now = self._wanted_hz(watch), time.monotonic()
+                watch.settle(wanted, now)
+                if not watch.due(wanted, now):
+                    continue
+                try:
+                    result = await self._command(SET_MESSAGE_INTERVAL, [watch.stream.message_id, 1e6 / wanted])
+                except DeviceError:
+                    watch.asked(wanted, time.monotonic(), granted=None)
+                    return  # nothing else will be answered either
+                granted = {0: True, 1: None}.get(result, False)  # 1: temporarily rejected
+                watch.asked(wanted, time.monotonic(), granted=granted)
+
+    def measure(self) -> None:
+        """Update the measured rates; to be called a few times a second."""
+        now = self._clock.monotonic()
+        for watch in self._watches:
+            count, since_s, _ = self._measured[watch.stream.name]
+            if now - since_s >= _MEASURE_S:
+                rate = (watch.count - count) / (now - since_s)
+                self._measured[watch.stream.name] = (watch.count, now, rate)
+
+    def reports(self) -> list[StreamReport]:
+        """How the streams do."""
+        now = time.monotonic()
+        return [
+            StreamReport(
+                stream=watch.stream,
+                wanted_hz=self._wanted_hz(watch),
+                measured_hz=self._measured[watch.stream.name][2],
+                refused=watch.refused,
+                age_s=now - watch.last_s,
+            )
+            for watch in self._watches
+        ]
+
+    def _wanted_hz(self, watch: StreamWatch) -> float:
+        stream = watch.stream
+        wanted = stream.rate_hz if self.active else stream.idle_rate_hz
+        return min(wanted, self.spared.get(stream.message_id, wanted))
+
+    def _arrived(self, watch: StreamWatch, message: MavMessage) -> None:
+        watch.note(message.heard_s)
+        # a gimbal that is its own component stamps with its own boot time
+        boot_ms = message.fields.get("time_boot_ms") if message.component_id == AUTOPILOT else None
+        if boot_ms is not None and self.boots.note(boot_ms / 1000.0):
+            self._rebooted()

@@ -1,0 +1,303 @@
+"""The missions of the daemon, one at a time: begun, resumed, flown to their end, kept on disk."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import structlog
+
+from panoexec.clock import Clock
+from panoexec.daemon.storage import storage_trouble
+from panoexec.devices import Severity, Vehicle
+from panoexec.errors import PanoexecError
+from panoexec.inputs.config import Config
+from panoexec.mission.executor import Mission
+from panoexec.mission.log.events import Event, EventSink
+from panoexec.mission.log.record import MissionRecord
+from panoexec.mission.log.states import ENDED, MissionState
+from panoexec.mission.mission_requests import CommandRefusedError
+from panoexec.mission.settings import MissionSettings
+from panoexec.mqtt.requests import RefusedRequestError
+from panoexec.planning.model import Plan
+from panoexec.report.mission_outputs import write_leavings
+from panoexec.store.directory import mission_directories
+from panoexec.store.session import (
+    Devices,
+    MissionSession,
+    NotResumableError,
+    StoredMission,
+    create_mission,
+    open_mission,
+)
+
+Reference = Literal["north", "heading"]
+
+REFERENCE: Final = "reference"
+"""What a mission's journal keeps beside: the wish that it began with."""
+
+_ENDING_S: Final = 30.0
+_SAY_S: Final = 3.0
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Offer:
+    """An interrupted mission that can be gone on with.
+
+    Attributes:
+        stored_id: its mission id.
+        record: what is known of it.
+        plan: its plan.
+    """
+
+    stored_id: str
+    record: MissionRecord
+    plan: Plan
+
+
+class Missions:
+    """Flies missions in `run`, which is one task of the daemon; the other methods may be used from any.
+
+    Attributes:
+        record: of the mission that flies, or flew last, or is offered; None without one.
+        plan: its plan.
+        mission: the executor while one flies.
+        offer: the interrupted mission that `resume` goes on with.
+        trouble: the error that ended the last mission; "" if none did.
+    """
+
+    def __init__(
+        self,
+        *,
+        config: Callable[[], Config],
+        clock: Clock,
+        sink: EventSink,
+        changed: Callable[[], None],
+    ) -> None:
+        """Describe it.
+
+        Args:
+            config: the configuration as of now.
+            clock: of missions.
+            sink: gets the events.
+            changed: called when a mission begins or ends.
+        """
+        self.record: MissionRecord | None = None
+        self.plan: Plan | None = None
+        self.mission: Mission | None = None
+        self.offer: Offer | None = None
+        self.trouble = ""
+        self._config = config
+        self._clock = clock
+        self._sink = sink
+        self._changed = changed
+        self._next: asyncio.Queue[tuple[StoredMission, Devices, Reference]] = asyncio.Queue()
+        self._claimed = False
+        self._over = False
+        self._idle = asyncio.Event()
+        self._idle.set()
+        self._begun = asyncio.Event()
+        self._begun.set()
+
+    @property
+    def busy(self) -> bool:
+        """Whether a mission flies, or is about to."""
+        return self._claimed
+
+    async def under_way(self) -> Mission | None:
+        """The mission that flies; one that is just beginning is waited for, so that it can be commanded at once."""
+        await self._begun.wait()
+        return self.mission
+
+    def publish(self, event: Event) -> None:
+        """Take an event of the mission that flies (`EventSink`)."""
+        if event.state is not MissionState.IDLE:
+            self._begun.set()
+        self._over = event.state in ENDED
+        self._sink.publish(event)
+
+    @contextlib.asynccontextmanager
+    async def claimed(self) -> AsyncIterator[None]:
+        """Hold the only place for a mission; it is free again if the block fails.
+
+        A mission that is over, and whose files are still being written, is waited for.
+
+        Raises:
+            RefusedRequestError: a mission flies.
+        """
+        if self._claimed and self._over:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_ENDING_S):
+                    await self._idle.wait()
+        if self._claimed:
+            name = self.record.mission_id if self.mission is not None and self.record is not None else "a mission"
+            raise RefusedRequestError("busy", f"{name} is under way: abort it first, or wait for its end")
+        self._claimed, self._over = True, False
+        self._idle.clear()
+        try:
+            yield
+        except BaseException:
+            self._free()
+            raise
+
+    async def begin(self, plan: Plan, settings: MissionSettings, devices: Devices, reference: Reference) -> str:
+        """Make a new mission and have it flown; returns its id. Only while `claimed`.
+
+        Raises:
+            RefusedRequestError: it cannot be stored.
+        """
+        storage = self._config().storage
+        try:
+            await asyncio.to_thread(self._check_space)
+            stored = await create_mission(
+                storage.path,
+                plan=plan,
+                settings=settings,
+                now_utc_s=self._clock.time(),
+                extra={REFERENCE: reference},
+            )
+        except PanoexecError as error:
+            raise RefusedRequestError("storage", str(error)) from error
+        self.offer = None
+        self._begun.clear()
+        self._next.put_nowait((stored, devices, reference))
+        return stored.directory.mission_id
+
+    async def go_on(self, devices: Devices) -> str:
+        """Go on with the offered mission; returns its id. Only while `claimed`.
+
+        Raises:
+            RefusedRequestError: none is offered, or it cannot be resumed.
+        """
+        if self.offer is None:
+            raise RefusedRequestError("refused", "cannot resume: no mission is paused and none was interrupted")
+        storage = self._config().storage.path
+        directory = next((d for d in mission_directories(storage) if d.mission_id == self.offer.stored_id), None)
+        if directory is None:
+            raise RefusedRequestError(
+                "refused", f"cannot resume: mission {self.offer.stored_id} is gone from {storage}"
+            )
+        try:
+            stored = await open_mission(directory)
+        except PanoexecError as error:
+            raise RefusedRequestError("refused", str(error)) from error
+        self.offer = None
+        self._begun.clear()
+        # only of weight where a process died before it could put its first event on disk
+        self._next.put_nowait((stored, devices, "heading" if stored.extra.get(REFERENCE) == "heading" else "north"))
+        return directory.mission_id
+
+    async def find_interrupted(self) -> bool:
+        """Look for the newest mission on disk and offer it if it can be resumed.
+
+        Returns:
+            Whether it may go on by itself: a process ended in it, while nobody had asked it to hold.
+        """
+        directories = await asyncio.to_thread(mission_directories, self._config().storage.path)
+        if not directories:
+            return False
+        try:
+            stored = await open_mission(directories[-1])
+        except NotResumableError:
+            return False
+        except PanoexecError as error:
+            _log.warning("the newest mission cannot be resumed", error=str(error))
+            return False
+        await stored.journal.close()
+        name = stored.directory.mission_id
+        record = MissionRecord.from_events(mission_id=name, shots=stored.plan.shots, events=stored.events)
+        self.offer = Offer(stored_id=name, record=record, plan=stored.plan)
+        self.record, self.plan = record, stored.plan
+        _log.info("an interrupted mission can be resumed", mission_id=name, state=record.state.value)
+        return record.state is not MissionState.FAILED and not record.asked.pause
+
+    async def run(self) -> None:
+        """Fly what begins, one after the other, for ever."""
+        while True:
+            stored, devices, reference = await self._next.get()
+            self.trouble = ""
+            try:
+                await self._flown(stored, devices, reference)
+                await self._leave(stored)
+            finally:
+                self._free()
+            await self._offer_again()
+            self._changed()
+
+    async def _flown(self, stored: StoredMission, devices: Devices, reference: Reference) -> None:
+        """Fly to the end, whatever that is."""
+        try:
+            await self._fly(stored, devices, reference)
+        except (PanoexecError, ValueError, OSError) as error:
+            self.trouble = str(error)
+            _log.error("mission ended by an error", mission_id=stored.directory.mission_id, error=str(error))
+            await self._tell_pilot(devices.vehicle)
+        except Exception as error:  # noqa: BLE001  (the edge of the service: a fault of ours must not end the daemon)
+            self.trouble = f"{type(error).__name__}: {error}"
+            _log.exception("mission ended by an error of ours", mission_id=stored.directory.mission_id)
+            await self._tell_pilot(devices.vehicle)
+        finally:
+            self.mission, self._over = None, True
+
+    async def _tell_pilot(self, vehicle: Vehicle) -> None:
+        """A mission whose journal fails cannot announce its end itself."""
+        with contextlib.suppress(PanoexecError, TimeoutError):
+            async with asyncio.timeout(_SAY_S):
+                await vehicle.say(f"Pano: ended by an error: {self.trouble}", Severity.ERROR)
+
+    @staticmethod
+    async def _leave(stored: StoredMission) -> None:
+        """Write what others work from, while the place for a mission is still taken: a stop waits for it."""
+        try:
+            await asyncio.to_thread(write_leavings, stored.directory)
+        except (PanoexecError, ValueError, OSError) as error:
+            _log.error("files are missing", mission_id=stored.directory.mission_id, error=str(error))
+
+    async def _fly(self, stored: StoredMission, devices: Devices, reference: Reference) -> None:
+        section = self._config().vehicle
+        opened = MissionSession.opened(
+            stored,
+            devices=devices,
+            clock=self._clock,
+            sink=self,
+            vehicle={"id": section.id, "connection": section.connection or f"serial {section.serial}"},
+            reference=reference,
+        )
+        with structlog.contextvars.bound_contextvars(mission_id=stored.directory.mission_id):
+            async with opened as session:
+                self.mission, self.record, self.plan = session.mission, session.mission.record, stored.plan
+                self._changed()
+                record = await session.run()
+                _log.info("mission ended", state=record.state.value, reason=record.reason)
+
+    async def _offer_again(self) -> None:
+        """A mission that failed or was interrupted can be resumed without a new process."""
+        record = self.record
+        if record is not None and record.state in (MissionState.FAILED, MissionState.PAUSED):
+            await self.find_interrupted()
+
+    async def interrupted(self, reason: str) -> None:
+        """Stop the mission after its photo and return when it is on disk; it can be resumed."""
+        mission = self.mission
+        if mission is not None:
+            with contextlib.suppress(CommandRefusedError):
+                mission.verbs.interrupt(reason)
+        if self._claimed:
+            await self._idle.wait()
+
+    def _free(self) -> None:
+        self._claimed = False
+        self._idle.set()
+        self._begun.set()
+
+    def _check_space(self) -> None:
+        storage = self._config().storage
+        storage.path.mkdir(parents=True, exist_ok=True)
+        trouble = storage_trouble(storage)
+        if trouble:
+            raise RefusedRequestError("storage", trouble)

@@ -1,0 +1,203 @@
+"""The vehicle with its gimbal and camera, held for as long as the daemon runs, whatever is absent or comes back."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import AsyncIterator, Callable
+from typing import Final
+
+import structlog
+
+from panoexec.adapters.camera.mavsdk_camera import MavsdkCamera
+from panoexec.adapters.camera.serial_shutter import SerialShutter
+from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
+from panoexec.adapters.link.mavsdk_link import MavsdkLink
+from panoexec.adapters.link.serial_ports import connection_of
+from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
+from panoexec.clock import Clock
+from panoexec.devices import VehicleStatus
+from panoexec.errors import DeviceError
+from panoexec.inputs.config import Config
+from panoexec.mqtt.messages import LinkFields, LinksFields
+from panoexec.store.session import Devices
+
+_FIND_S: Final = 8.0
+_BACKOFF_S: Final = 1.0
+_BACKOFF_MOST_S: Final = 15.0
+_GIMBAL_SILENT_S: Final = 3.0
+_CAMERA_SILENT_S: Final = 15.0
+_LOOK_S: Final = 1.0
+_NAMES: Final = ("autopilot", "gimbal", "camera")
+
+_log = structlog.get_logger(__name__)
+
+
+class VehicleLink:
+    """Opens the link, finds gimbal and camera, and goes on trying for ever; `run` it in a task.
+
+    Attributes:
+        devices: to fly with; None until all were found.
+        reason: what is missing, "" if nothing is.
+        pulse_s: time.monotonic when the task last proved that it is not stuck.
+    """
+
+    def __init__(self, config: Config, *, clock: Clock, changed: Callable[[], None] = lambda: None) -> None:
+        """Describe it.
+
+        Args:
+            config: of the daemon.
+            clock: of missions.
+            changed: called whenever a link comes or goes.
+        """
+        self.devices: Devices | None = None
+        self.reason = "not connected yet"
+        self.pulse_s = time.monotonic()
+        self._config = config
+        self._clock = clock
+        self._changed = changed
+        self._link: MavsdkLink | None = None
+        self._gimbal: MavsdkGimbal | None = None
+        self._camera: MavsdkCamera | SerialShutter | None = None
+        self._vehicle: MavsdkVehicle | None = None
+        self._oks: tuple[bool, ...] = ()
+
+    @property
+    def status(self) -> VehicleStatus:
+        """Of the vehicle, unknown without one."""
+        return VehicleStatus() if self._vehicle is None else self._vehicle.status
+
+    def links(self) -> LinksFields:
+        """How the links do."""
+        autopilot, gimbal, camera = (_fields(ok, age_s) for ok, age_s in self._standing())
+        return LinksFields(autopilot=autopilot, gimbal=gimbal, camera=camera)
+
+    @property
+    def lacking(self) -> str:
+        """What is missing, or was lost after all had been found; "" for nothing."""
+        if self.reason:
+            return self.reason
+        lost = [name for name, (ok, _) in zip(_NAMES, self._standing(), strict=True) if not ok]
+        return f"lost: {', '.join(lost)}" if lost else ""
+
+    def _standing(self) -> tuple[tuple[bool, float], tuple[bool, float], tuple[bool, float]]:
+        """Whether autopilot, gimbal and camera are there, and when each was last heard, seconds ago."""
+        autopilot = math.inf if self._link is None else self._link.heartbeat_age_s
+        gimbal = math.inf if self._gimbal is None else self._gimbal.age_s
+        connected = self._link is not None and self._link.connected
+        camera = self._camera.age_s if isinstance(self._camera, MavsdkCamera) else math.inf
+        has_camera = self._camera is not None and (
+            isinstance(self._camera, SerialShutter) or (self._camera.found is not None and camera < _CAMERA_SILENT_S)
+        )
+        return (
+            (connected, autopilot),
+            (connected and gimbal < _GIMBAL_SILENT_S, gimbal),
+            (connected and has_camera, camera),
+        )
+
+    async def run(self) -> None:
+        """Hold the link for ever."""
+        patience_s = _BACKOFF_S
+        while True:
+            self.pulse_s = began = time.monotonic()
+            try:
+                await self._hold()
+            except DeviceError as error:
+                self._missing(str(error))
+            if time.monotonic() - began > _BACKOFF_MOST_S:
+                patience_s = _BACKOFF_S
+            await asyncio.sleep(patience_s)
+            patience_s = min(2 * patience_s, _BACKOFF_MOST_S)
+
+    async def _hold(self) -> None:
+        """One link, until it fails for good."""
+        section = self._config.vehicle
+        feedback = self._config.gimbal.feedback
+        url = await asyncio.to_thread(connection_of, section)
+        # idle streams are looked at once a second of real time, which a mission at a speed-up would take for silence
+        sparing = getattr(self._clock, "speedup", 1.0) <= 1.0
+        link = MavsdkLink(url, clock=self._clock, component_id=section.component_id, patient=True, sparing=sparing)
+        async with contextlib.AsyncExitStack() as stack:
+            stack.callback(self._forget)
+            await stack.enter_async_context(link)
+            self._link = link
+            self._gimbal = await stack.enter_async_context(
+                MavsdkGimbal(link, feedback=None if feedback == "auto" else feedback)
+            )
+            self._vehicle = await stack.enter_async_context(MavsdkVehicle(link))
+            await self._find(link, self._gimbal)
+            self._camera = await stack.enter_async_context(self._opened_camera(link))
+            await link.use_rates(active=False)
+            self.devices = Devices(gimbal=self._gimbal, camera=self._camera, vehicle=self._vehicle)
+            self.reason = ""
+            _log.info("vehicle ready", url=str(url))
+            self._changed()
+            while True:
+                self._look()
+                await asyncio.sleep(_LOOK_S)
+
+    async def _find(self, link: MavsdkLink, gimbal: MavsdkGimbal) -> None:
+        """Return when autopilot and gimbal are there."""
+        while True:
+            self._look()
+            try:
+                await link.wait_autopilot(_FIND_S)
+                self._look()
+                await gimbal.discover(_FIND_S)
+            except DeviceError as error:
+                self._missing(str(error))
+            else:
+                return
+
+    @contextlib.asynccontextmanager
+    async def _opened_camera(self, link: MavsdkLink) -> AsyncIterator[MavsdkCamera | SerialShutter]:
+        """The camera; what cannot be opened yet is tried again."""
+        section = self._config.camera
+        if section.trigger == "serial":
+            assert section.serial_port is not None
+            shutter = SerialShutter(
+                section.serial_port,
+                clock=self._clock,
+                line=section.serial_line,
+                payload=(section.serial_bytes or "").encode(),
+                pulse_s=section.pulse_s,
+                feedback=link,
+            )
+            async with shutter:
+                yield shutter
+            return
+        async with MavsdkCamera(link, component=section.component) as camera:
+            self._camera = camera
+            while True:
+                self._look()
+                try:
+                    await camera.discover(_FIND_S)
+                except DeviceError as error:
+                    self._missing(str(error))
+                else:
+                    break
+            yield camera
+
+    def _look(self) -> None:
+        """Prove life, and tell changes."""
+        self.pulse_s = time.monotonic()
+        oks = tuple(ok for ok, _ in self._standing())
+        if oks != self._oks:
+            self._oks = oks
+            _log.info("links", autopilot=oks[0], gimbal=oks[1], camera=oks[2])
+            self._changed()
+
+    def _missing(self, reason: str) -> None:
+        if reason != self.reason:
+            _log.warning("vehicle not ready", reason=reason)
+            self.reason = reason
+            self._changed()
+
+    def _forget(self) -> None:
+        self.devices = self._link = self._gimbal = self._camera = self._vehicle = None
+
+
+def _fields(ok: bool, age_s: float) -> LinkFields:
+    return LinkFields(ok=ok, age_s=round(age_s, 3) if math.isfinite(age_s) else None)

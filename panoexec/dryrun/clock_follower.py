@@ -1,0 +1,156 @@
+"""Lets the mission's clock follow an autopilot that keeps its own time, and asks that for less haste where it must.
+
+ArduPilot's SITL runs as fast as it was told to, or as fast as the computer lets it, and nobody can hold it. What can be
+done: the mission's time is the autopilot's (SYSTEM_TIME, 2), so that no time-out passes that it has not lived through;
+and where a command takes too long in its seconds, it is asked to slow down (`SIM_SPEEDUP`), and to hurry again later.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+from collections.abc import Awaitable, Callable, Iterator
+from typing import Final
+
+import structlog
+
+from panoexec.adapters.link.message_hub import MavMessage
+from panoexec.adapters.link.stream_health import Stream
+from panoexec.clock import VehicleClock
+from panoexec.dryrun.lockstep import Hears
+from panoexec.errors import DeviceError
+
+AUTOPILOT: Final = 1
+TIME_STREAM: Final = Stream(message_id=2, name="SYSTEM_TIME", rate_hz=50.0, idle_rate_hz=50.0)
+_REBOOT_S: Final = 1.0
+_LOOK_S: Final = 0.25
+_SILENT_LOOKS: Final = 20
+
+WORK_S: Final = 0.06
+"""What real work (a command and its answer, a write of the journal) may take in the vehicle's seconds. From the photo
+command to the shutter 0.15 s are allowed, of which the camera needs a part."""
+_MEMORY: Final = 0.3
+_LEAST_CHANGE: Final = 1.15
+_LONGEST_S: Final = 1.0
+"""Work that takes longer waits for an answer that does not come, and says nothing of the computer."""
+
+_log = structlog.get_logger(__name__)
+
+
+class Haste:
+    """How fast a simulation may be, by what real work costs in its seconds."""
+
+    def __init__(self, wanted: float) -> None:
+        """Args: the speed that was asked for, simulated seconds a second."""
+        self.speed = self._wanted = wanted
+        self._mean_s = math.nan
+
+    def worked(self, vehicle_s: float) -> bool:
+        """Take what some work cost in the vehicle's seconds; True if the speed shall change."""
+        cost_s = min(vehicle_s, _LONGEST_S)
+        self._mean_s = cost_s if math.isnan(self._mean_s) else self._mean_s + _MEMORY * (cost_s - self._mean_s)
+        # never below real time: that is what a real vehicle has
+        best = min(self._wanted, max(min(1.0, self._wanted), self.speed * WORK_S / max(self._mean_s, 1e-3)))
+        best = min(best, 1.5 * self.speed)
+        if max(best, self.speed) < _LEAST_CHANGE * min(best, self.speed):
+            return False
+        self._mean_s *= best / self.speed
+        self.speed = best
+        return True
+
+
+class Follower:
+    """Tells a mission's clock the time of an autopilot."""
+
+    def __init__(self, clock: VehicleClock) -> None:
+        """Args: the clock; nobody else tells it the time."""
+        self._clock = clock
+        self._haste: Haste | None = None
+        self._set_speed: Callable[[float], Awaitable[None]] | None = None
+        self._setting: asyncio.Task[None] | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._offset_s = 0.0
+        self._newest_s = -math.inf
+        self._told = 0
+        self._began_s = math.nan
+
+    @contextlib.contextmanager
+    def following(self, link: Hears) -> Iterator[None]:
+        """Follow while the block runs, on the running event loop."""
+        self._loop = asyncio.get_running_loop()
+        self._clock.on_told, self._clock.on_work = self._wake, self._work_begins
+        off = link.on(TIME_STREAM.name, self._hear)
+        self._watch(self._loop.time(), 0, 0)
+        try:
+            yield
+        finally:
+            off()
+            self._clock.on_told = self._clock.on_work = lambda: None
+            if self._timer is not None:
+                self._timer.cancel()
+            if self._setting is not None:
+                self._setting.cancel()
+
+    def govern(self, wanted: float, set_speed: Callable[[float], Awaitable[None]]) -> None:
+        """From now on slow the autopilot down where work takes too long in its seconds.
+
+        Args:
+            wanted: speed at most, simulated seconds a second.
+            set_speed: asks the autopilot for one; may raise DeviceError.
+        """
+        self._haste, self._set_speed = Haste(wanted), set_speed
+
+    # --- in the vendor's thread
+
+    def _hear(self, message: MavMessage) -> None:
+        if message.component_id != AUTOPILOT:
+            return
+        stamp_s = int(message.fields["time_boot_ms"]) / 1e3
+        if stamp_s < self._newest_s - _REBOOT_S:
+            self._offset_s, self._newest_s = self._clock.monotonic() - stamp_s, stamp_s
+        self._newest_s = max(self._newest_s, stamp_s)
+        self._told += 1
+        self._clock.tell(stamp_s + self._offset_s)
+
+    def _wake(self) -> None:
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # the loop was closed: nobody waits any more
+                self._loop.call_soon_threadsafe(self._turn)
+
+    # --- on the loop
+
+    def _turn(self) -> None:
+        self._clock.wake()
+        if not self._clock.is_at_work and not math.isnan(self._began_s):
+            cost_s, self._began_s = self._clock.monotonic() - self._began_s, math.nan
+            if self._haste is not None and self._haste.worked(cost_s) and self._setting is None:
+                self._setting = asyncio.create_task(self._set(), name="speed of the simulation")
+
+    def _work_begins(self) -> None:
+        self._began_s = self._clock.monotonic()
+
+    async def _set(self) -> None:
+        assert self._haste is not None
+        assert self._set_speed is not None
+        told = math.nan
+        try:
+            while told != self._haste.speed:  # it may change on the way
+                told = self._haste.speed
+                _log.debug("speed of the simulation", speed=told)
+                await self._set_speed(told)
+        except DeviceError as error:
+            _log.debug("the speed was not changed", error=str(error))
+        finally:
+            self._setting = None
+
+    def _watch(self, since_s: float, told: int, looks: int) -> None:
+        """See that time goes on without an autopilot that is silent: nobody may wait for a dead one."""
+        assert self._loop is not None
+        now_s = self._loop.time()
+        looks = looks + 1 if self._told == told else 0
+        if looks >= _SILENT_LOOKS:
+            self._clock.tell(self._clock.monotonic() + now_s - since_s)
+            self._clock.wake()
+        self._timer = self._loop.call_later(_LOOK_S, self._watch, now_s, self._told, looks)

@@ -1,0 +1,107 @@
+"""The vehicle under test as a mission sees it: started, connected to, its devices found, flown where it must be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from panoexec.adapters.camera.mavsdk_camera import MavsdkCamera
+from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
+from panoexec.adapters.link.mavsdk_link import MavsdkLink
+from panoexec.adapters.link.stream_health import DEFAULT_STREAMS, Stream
+from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
+from panoexec.clock import Clock, VehicleClock
+from panoexec.dryrun.clock_follower import TIME_STREAM, Follower
+from panoexec.dryrun.lockstep import Timekeeper
+from panoexec.dryrun.pilot import MavsdkPilot
+from panoexec.dryrun.rigs import Rig, VehicleUnderTest
+from panoexec.errors import DeviceError
+from panoexec.mission.settings import MissionSettings
+from panoexec.store.session import Devices
+
+FIND_S = 30.0
+"""Real seconds within which the simulated vehicle must be found."""
+
+HOVER_M = 30.0
+"""Height above the ground at which a vehicle that must be flown takes its panorama."""
+
+
+@asynccontextmanager
+async def devices_on(
+    vehicle_under_test: VehicleUnderTest, *, images: Path | None, clock: Clock, note: Callable[[str], None]
+) -> AsyncIterator[tuple[Devices, Rig]]:
+    """A vehicle with gimbal and camera, found and streaming while the block runs; in the air, if it is ours to fly.
+
+    It lands after the block, but not after one that failed: what is simulated just ends then.
+
+    Raises:
+        PanoexecError: it could not be started, found or flown.
+    """
+    async with AsyncExitStack() as stack:
+        rig = await stack.enter_async_context(vehicle_under_test.running(images=images, note=note))
+        link = await stack.enter_async_context(MavsdkLink(rig.connection, clock=clock, streams=_streams(rig, clock)))
+        keeper = follower = None
+        if isinstance(clock, VehicleClock) and rig.allow is not None:
+            keeper = Timekeeper(clock, rig.allow, speedup=vehicle_under_test.speedup)
+            stack.enter_context(keeper.keeping(link))
+        elif isinstance(clock, VehicleClock):
+            follower = Follower(clock)
+            stack.enter_context(follower.following(link))
+        gimbal = await stack.enter_async_context(MavsdkGimbal(link))
+        camera = await stack.enter_async_context(MavsdkCamera(link))
+        vehicle = await stack.enter_async_context(MavsdkVehicle(link))
+        await link.wait_autopilot(FIND_S)
+        found = await gimbal.discover(FIND_S)
+        await camera.discover(FIND_S)
+        rig.about["gimbal_feedback"] = found.feedback
+        rig.about["autopilot_version"] = await _autopilot_version(link)
+        devices = Devices(gimbal=gimbal, camera=camera, vehicle=vehicle)
+        if keeper is not None:
+            await keeper.begin()
+        if not rig.must_fly:
+            yield devices, rig
+            return
+        pilot = MavsdkPilot(link, vehicle, clock=clock)
+        if follower is not None and rig.may_slow:
+            follower.govern(vehicle_under_test.speedup, pilot.set_speed)
+        note("waiting for GPS and estimator, then taking off")
+        await pilot.take_off(HOVER_M)
+        note(f"hovering at {HOVER_M:g} m")
+        yield devices, rig
+        note("landing")
+        try:
+            await pilot.land()
+        except DeviceError as error:  # the panorama is taken all the same; its summary must not be lost
+            note(str(error))
+            rig.about["landed"] = False
+        else:
+            rig.about["landed"] = True
+            note("landed and disarmed")
+
+
+def _streams(rig: Rig, clock: Clock) -> tuple[Stream, ...]:
+    """What to ask the autopilot for: its time too, where that is the clock's."""
+    follows = isinstance(clock, VehicleClock) and rig.allow is None
+    return (*DEFAULT_STREAMS, TIME_STREAM) if follows else DEFAULT_STREAMS
+
+
+async def _autopilot_version(link: MavsdkLink) -> str:
+    """Its firmware's version as AUTOPILOT_VERSION (148) tells it, "" if it does not."""
+    try:
+        fields = (await link.requests.message(148, "AUTOPILOT_VERSION")).fields
+    except DeviceError:
+        return ""
+    word = int(fields["flight_sw_version"])
+    major, minor, patch, kind = word >> 24 & 0xFF, word >> 16 & 0xFF, word >> 8 & 0xFF, word & 0xFF
+    return f"{major}.{minor}.{patch}" + {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}.get(kind, "")
+
+
+def settings_on(rig: Rig, devices: Devices, settings: MissionSettings, note: Callable[[str], None]) -> MissionSettings:
+    """The settings for this vehicle: one that stands on a bench is not asked to hover."""
+    if not rig.may_stand or devices.vehicle.status.in_air:
+        return settings
+    note("the vehicle stands on the ground and is left there: no guard of its flight")
+    return replace(settings, guards=replace(settings.guards, position_hold=False, position_drift_m=math.inf))

@@ -1,0 +1,214 @@
+"""A pilot for simulated flights: takes a real ArduCopter's software up, holds it, brings it down.
+
+Nobody flies a real drone with this: the mission needs a vehicle that hovers already.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Final
+
+import structlog
+from mavsdk.plugins.action import Action
+
+from panoexec.adapters.link.mavsdk_errors import MAV_RESULTS
+from panoexec.adapters.link.mavsdk_link import MavsdkLink
+from panoexec.adapters.link.message_hub import MavMessage
+from panoexec.adapters.link.stream_keeper import AUTOPILOT
+from panoexec.clock import Clock
+from panoexec.devices import Vehicle, VehicleStatus
+from panoexec.errors import DeviceError
+
+DO_SET_MODE: Final = 176
+NAV_TAKEOFF: Final = 22
+_CUSTOM_MODE: Final = 1
+_REAL32: Final = 9
+_COPTER_GUIDED: Final = 4
+_STEP_S: Final = 0.5
+_HEIGHT_FRAC: Final = 0.97
+_GPS_RAW_INT: Final = 24
+_FIX_3D: Final = 3
+_STILL_M: Final = 0.5
+_STILL_S: Final = 4.0
+_STILL_PATIENCE_S: Final = 40.0
+_STILL_REAL_S: Final = 10.0
+_EARTH_M: Final = 6_371_000.0
+_LEAST_REAL_S: Final = 60.0
+"""No patience is shorter than this in real time: a sped-up simulation may not get as fast as it was told to be."""
+_MULTIROTORS: Final = frozenset({2, 3, 4, 13, 14, 15, 29})
+"""MAV_TYPE: quadrotor, coaxial, helicopter, hexa-, octo-, tri- and dodecarotor."""
+
+_log = structlog.get_logger(__name__)
+
+
+class MavsdkPilot:
+    """Flies an ArduCopter in simulation."""
+
+    def __init__(self, link: MavsdkLink, vehicle: Vehicle, *, clock: Clock) -> None:
+        """Args: the link, entered; the vehicle on it, entered; the clock that timeouts run on."""
+        self._link = link
+        self._vehicle = vehicle
+        self._clock = clock
+
+    async def take_off(self, height_m: float = 30.0, *, timeout_s: float = 180.0) -> None:
+        """Arm in GUIDED as soon as the vehicle lets itself be armed, climb, and return when it hovers there.
+
+        Args:
+            height_m: above the take-off point.
+            timeout_s: for each stage (GPS, estimator and arming, climbing); a simulated estimator needs some 40 s.
+
+        Raises:
+            DeviceError: refused to the end, or not there in time; with what the autopilot said.
+        """
+        kind, _ = self._link.components.get(AUTOPILOT, (-1, 0.0))
+        if kind not in _MULTIROTORS:
+            raise DeviceError(
+                f"the vehicle is no multirotor (MAV_TYPE {kind}); only one of those hovers for a panorama"
+            )
+        with self._listening() as said:
+            await self._wait_gps(timeout_s)
+            await self._must(DO_SET_MODE, [_CUSTOM_MODE, _COPTER_GUIDED], "changing to GUIDED")
+            await self._arm(timeout_s, said)
+            await self._must(NAV_TAKEOFF, [0, 0, 0, 0, 0, 0, height_m], "taking off")
+            enough_m = _HEIGHT_FRAC * height_m
+            await self._wait(lambda: self._vehicle.status.relative_altitude_m >= enough_m, timeout_s, "climbing")
+            await self._wait_still()
+        _log.info("hovering", height_m=self._vehicle.status.relative_altitude_m)
+
+    async def go_to(
+        self, latitude_deg: float, longitude_deg: float, altitude_m: float, heading_deg: float = float("nan")
+    ) -> None:
+        """Send it somewhere; returns when that was accepted, not when it is there.
+
+        Args:
+            latitude_deg: where.
+            longitude_deg: where.
+            altitude_m: above mean sea level.
+            heading_deg: clockwise from north; NaN leaves it to the autopilot.
+
+        Raises:
+            DeviceError: refused or not answered.
+        """
+        action = self._link.requests.plugin(Action)
+        await self._link.requests.vendor_call(
+            "flying there", lambda: action.goto_location(latitude_deg, longitude_deg, altitude_m, heading_deg)
+        )
+
+    async def land(self, *, timeout_s: float = 120.0) -> None:
+        """Land and return when the motors are off.
+
+        Raises:
+            DeviceError: refused, or not down in time.
+        """
+        action = self._link.requests.plugin(Action)
+        await self._link.requests.vendor_call("landing", action.land)
+        await self._wait(lambda: not self._vehicle.status.armed, timeout_s, "landing")
+
+    async def set_speed(self, speed: float) -> None:
+        """Ask ArduPilot's SITL for another speed (PARAM_SET of SIM_SPEEDUP); nothing is known of whether it obeys.
+
+        Args:
+            speed: simulated seconds a second.
+
+        Raises:
+            DeviceError: not sent.
+        """
+        fields = {
+            "target_system": self._link.vehicle_system_id or 1,
+            "target_component": AUTOPILOT,
+            "param_id": "SIM_SPEEDUP",
+            "param_value": speed,
+            "param_type": _REAL32,
+        }
+        await self._link.requests.send("changing the speed", "PARAM_SET", fields)
+
+    async def _must(self, command: int, params: list[float], what: str) -> None:
+        result = await self._link.requests.command(command, params)
+        if result != 0:
+            raise DeviceError(f"{what}: {MAV_RESULTS.get(result, result)}")
+
+    @contextmanager
+    def _listening(self) -> Iterator[list[str]]:
+        """What the autopilot says of why it may not be armed, the newest of each last."""
+        said: list[str] = []
+
+        def hear(message: MavMessage) -> None:
+            text = str(message.fields.get("text", "")).strip()
+            if message.component_id == AUTOPILOT and text.startswith(("Arm: ", "PreArm: ")):
+                said[:] = [*(known for known in said if known != text), text][-3:]
+
+        off = self._link.on("STATUSTEXT", hear)
+        try:
+            yield said
+        finally:
+            off()
+
+    async def _wait_gps(self, timeout_s: float) -> None:
+        patience = _Patience(self._clock, timeout_s)
+        fix = 0
+        while fix < _FIX_3D:
+            if patience.is_over:
+                raise DeviceError(f"no GPS fix within {timeout_s:g} s (fix type {fix}, 3 is needed)")
+            try:
+                fix = int((await self._link.requests.message(_GPS_RAW_INT, "GPS_RAW_INT")).fields["fix_type"])
+            except DeviceError as error:
+                _log.debug("no word of the GPS yet", error=str(error))
+            await self._clock.sleep(_STEP_S)
+
+    async def _arm(self, timeout_s: float, said: list[str]) -> None:
+        patience = _Patience(self._clock, timeout_s)
+        action = self._link.requests.plugin(Action)
+        refusal = ""
+        while not self._vehicle.status.armed:
+            if patience.is_over:
+                why = "; ".join(said) or refusal or "it did not say why"
+                raise DeviceError(f"the autopilot could not be armed within {timeout_s:g} s: {why}")
+            try:
+                await self._link.requests.vendor_call("arming", action.arm)
+            except DeviceError as error:
+                refusal = str(error)
+            await self._clock.sleep(2 * _STEP_S)
+
+    async def _wait_still(self) -> None:
+        """Return when it stays where it is; wind displaces it while it climbs, and it comes back at its leisure.
+
+        A wind in which it never stands still is the mission's business, so patience is short.
+        """
+        patience = _Patience(self._clock, _STILL_PATIENCE_S, least_real_s=_STILL_REAL_S)
+        track: deque[VehicleStatus] = deque(maxlen=round(_STILL_S / _STEP_S) + 1)
+        while not patience.is_over:
+            track.append(self._vehicle.status)
+            if len(track) == track.maxlen and all(_apart_m(track[-1], past) < _STILL_M for past in track):
+                return
+            await self._clock.sleep(_STEP_S)
+
+    async def _wait(self, done: Callable[[], bool], timeout_s: float, what: str) -> None:
+        patience = _Patience(self._clock, timeout_s)
+        while not done():
+            if patience.is_over:
+                raise DeviceError(f"{what}: not done within {timeout_s:g} s")
+            await self._clock.sleep(_STEP_S)
+
+
+def _apart_m(a: VehicleStatus, b: VehicleStatus) -> float:
+    north = math.radians(a.latitude_deg - b.latitude_deg) * _EARTH_M
+    east = math.radians(a.longitude_deg - b.longitude_deg) * _EARTH_M * math.cos(math.radians(a.latitude_deg))
+    return math.hypot(north, east, a.relative_altitude_m - b.relative_altitude_m)
+
+
+class _Patience:
+    """A time limit on the mission's clock, but not a short one in real time."""
+
+    def __init__(self, clock: Clock, timeout_s: float, *, least_real_s: float | None = None) -> None:
+        self._clock = clock
+        self._end_s = clock.monotonic() + timeout_s
+        self._end_real_s = time.monotonic() + min(timeout_s, _LEAST_REAL_S if least_real_s is None else least_real_s)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it has been long enough."""
+        return self._clock.monotonic() > self._end_s and time.monotonic() > self._end_real_s

@@ -1,0 +1,1 @@
+"""Formats of other programs: Hugin projects, XMP, JPEG headers."""

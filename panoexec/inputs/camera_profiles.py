@@ -1,0 +1,229 @@
+"""Camera profiles: what a planner and a mission must know of a camera, from TOML files or inline tables.
+
+A profile gives the camera as built, longer side first; `orientation` says how it is mounted. The field of view is
+computed from sensor and focal length, never typed in. Shipped profiles are in `panoexec/profiles` (`config/cameras`).
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib.resources
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeAlias
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, field_validator, model_validator
+
+from panoexec.errors import InputFileError, UsageError
+from panoexec.inputs.validation import problem_lines, read_toml
+from panoexec.optics import Camera
+
+Orientation: TypeAlias = Literal["landscape", "portrait"]
+Millimetres: TypeAlias = Annotated[FiniteFloat, Field(gt=0, le=10_000)]
+Pixels: TypeAlias = Annotated[int, Field(gt=0, le=1_000_000)]
+Seconds: TypeAlias = Annotated[FiniteFloat, Field(ge=0, le=600)]
+
+_ASPECT_AGREES = 0.03
+_LARGEST_FOV_DEG = 179.0
+_NO_FOCAL_LENGTH = "focal_length_mm is missing (or zoom_range_mm = [shortest, longest])"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraProfile:
+    """A camera as mounted, and what the mission must know besides its optics.
+
+    Attributes:
+        camera: optics, turned as `orientation` says.
+        orientation: how it is mounted.
+        min_interval_s: least time from one photo to the next.
+        max_exposure_s: longest exposure that the camera is set to use; the pose must hold that long.
+        source: where the figures come from.
+        zoom_range_mm: shortest and longest focal length, or None for a fixed lens.
+    """
+
+    camera: Camera
+    orientation: Orientation
+    min_interval_s: float
+    max_exposure_s: float
+    source: str
+    zoom_range_mm: tuple[float, float] | None = None
+
+
+class _ProfileModel(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    name: Annotated[str, Field(min_length=1, max_length=80)] | None = None
+    sensor_width_mm: Millimetres
+    sensor_height_mm: Millimetres
+    image_width_px: Pixels
+    image_height_px: Pixels
+    focal_length_mm: Millimetres | None = None
+    zoom_range_mm: Annotated[list[Millimetres], Field(min_length=2, max_length=2)] | None = None
+    calibrated_focal_length_mm: Millimetres | None = None
+    orientation: Orientation = "landscape"
+    min_interval_s: Seconds = 1.0
+    max_exposure_s: Annotated[Seconds, Field(gt=0)] = 0.02
+    source: Annotated[str, Field(min_length=1, max_length=2000)]
+
+    @field_validator("zoom_range_mm")
+    @classmethod
+    def _rising(cls, value: list[float] | None) -> list[float] | None:
+        if value is not None and not value[0] < value[1]:
+            raise ValueError(f"{value} must be two focal lengths, the shorter first")
+        return value
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        problems = [*self._size_problems(), *self._lens_problems()]
+        if problems:
+            raise ValueError("; ".join(problems))
+        return self
+
+    def _size_problems(self) -> list[str]:
+        if self.sensor_width_mm < self.sensor_height_mm or self.image_width_px < self.image_height_px:
+            return ['widths must be the longer sides, as the camera is built; mounting is `orientation = "portrait"`']
+        sensor = self.sensor_width_mm / self.sensor_height_mm
+        image = self.image_width_px / self.image_height_px
+        if abs(sensor / image - 1) > _ASPECT_AGREES:
+            problem = (
+                f"the sensor is {sensor:.3f} times as wide as high, the image {image:.3f} times: "
+                "give the part of the sensor that the image uses"
+            )
+            return [problem]
+        return []
+
+    def _lens_problems(self) -> list[str]:
+        if self.focal_length_mm is None and self.zoom_range_mm is None:
+            return [_NO_FOCAL_LENGTH]
+        shortest = self.focal_length_mm or 0.0
+        problems = []
+        if self.zoom_range_mm is not None:
+            low, high = self.zoom_range_mm
+            shortest = low
+            if self.focal_length_mm is not None and not low <= self.focal_length_mm <= high:
+                problems.append(f"focal_length_mm is {self.focal_length_mm:g}: it must lie within {low:g} to {high:g}")
+            if self.calibrated_focal_length_mm is not None:
+                problems.append("calibrated_focal_length_mm is for fixed lenses, this one zooms: leave it out")
+        camera = self.camera("", shortest)
+        if camera.hfov_deg > _LARGEST_FOV_DEG:
+            problems.append(
+                f"sensor_width_mm and focal length make a field of view of {camera.hfov_deg:.2f}°: "
+                f"pinhole images end at {_LARGEST_FOV_DEG:g}°"
+            )
+        return problems
+
+    def camera(self, name: str, focal_length_mm: float) -> Camera:
+        return Camera(
+            name=self.name or name,
+            sensor_width_mm=self.sensor_width_mm,
+            sensor_height_mm=self.sensor_height_mm,
+            image_width_px=self.image_width_px,
+            image_height_px=self.image_height_px,
+            focal_length_mm=focal_length_mm,
+            calibrated_focal_length_mm=self.calibrated_focal_length_mm,
+        )
+
+
+def load_profile(
+    name_or_path: str, *, orientation: Orientation | None = None, focal_length_mm: float | None = None
+) -> CameraProfile:
+    """Load a shipped profile by its name, or any profile by the path of its TOML file.
+
+    Args:
+        name_or_path: a path if it ends in .toml or has a folder in it.
+        orientation: how the camera is mounted, instead of what the profile says.
+        focal_length_mm: for zooms, within the profile's range; the profile's own, else the shortest, by default.
+
+    Raises:
+        UsageError: no such profile (near matches are named), or the focal length does not fit.
+        InputFileError: the file is unreadable or wrong, with every problem.
+    """
+    if name_or_path.endswith(".toml") or os.sep in name_or_path:
+        path = Path(name_or_path)
+        return _profile(read_toml(path), name_or_path, path.stem, orientation, focal_length_mm)
+    shipped = _shipped()
+    path_of_name = shipped.get(name_or_path)
+    if path_of_name is None:
+        near = difflib.get_close_matches(name_or_path.lower(), shipped, n=3, cutoff=0.4)
+        hint = f"did you mean {' or '.join(near)}? " if near else ""
+        raise UsageError(
+            f"there is no camera profile {name_or_path!r}: {hint}`panoexec cameras` lists them; "
+            "your own profile is named by its file, FILE.toml"
+        )
+    return _profile(read_toml(path_of_name), str(path_of_name), name_or_path, orientation, focal_length_mm)
+
+
+def profile_from_mapping(
+    data: Mapping[str, Any],
+    *,
+    source: str,
+    name: str = "inline",
+    orientation: Orientation | None = None,
+    focal_length_mm: float | None = None,
+) -> CameraProfile:
+    """A profile from a table with the keys of a profile file, such as a request's; its `source` may be left out.
+
+    Args:
+        data: keys and values.
+        source: what to call it in messages.
+        name: the camera's name, if `data` has none.
+        orientation: as in `load_profile`.
+        focal_length_mm: as in `load_profile`.
+
+    Raises:
+        InputFileError: with every problem found.
+        UsageError: the focal length asked for does not fit the lens.
+    """
+    return _profile({"source": "given inline"} | dict(data), source, name, orientation, focal_length_mm)
+
+
+def list_profiles() -> list[CameraProfile]:
+    """All shipped profiles, by name."""
+    return [load_profile(name) for name in _shipped()]
+
+
+def _profile(
+    data: Mapping[str, Any], source: str, name: str, orientation: Orientation | None, focal_length_mm: float | None
+) -> CameraProfile:
+    try:
+        model = _ProfileModel.model_validate(dict(data))
+    except ValidationError as error:
+        problems = problem_lines(error)
+        if not {"focal_length_mm", "zoom_range_mm"} & data.keys() and _NO_FOCAL_LENGTH not in problems:
+            # what spans several keys is only checked once each key for itself is right
+            problems.append(_NO_FOCAL_LENGTH)
+        raise InputFileError(source, problems) from error
+    camera = model.camera(name, _focal_length(model, focal_length_mm, name))
+    mounted = orientation or model.orientation
+    return CameraProfile(
+        camera=camera.rotated() if mounted == "portrait" else camera,
+        orientation=mounted,
+        min_interval_s=model.min_interval_s,
+        max_exposure_s=model.max_exposure_s,
+        source=model.source,
+        zoom_range_mm=(model.zoom_range_mm[0], model.zoom_range_mm[1]) if model.zoom_range_mm else None,
+    )
+
+
+def _focal_length(model: _ProfileModel, asked_mm: float | None, name: str) -> float:
+    if model.zoom_range_mm is None:
+        fixed = model.focal_length_mm
+        assert fixed is not None
+        if asked_mm is not None and asked_mm != fixed:
+            raise UsageError(
+                f"{name} has a fixed lens of {fixed:g} mm: a focal length of {asked_mm:g} mm is not possible"
+            )
+        return fixed
+    low, high = model.zoom_range_mm
+    focal = asked_mm or model.focal_length_mm or low
+    if not low <= focal <= high:
+        raise UsageError(f"{name} zooms from {low:g} to {high:g} mm: a focal length of {focal:g} mm is not possible")
+    return focal
+
+
+def _shipped() -> dict[str, Path]:
+    """Shipped profile files by name, sorted."""
+    folder = importlib.resources.files("panoexec") / "profiles"
+    return {path.stem: path for path in sorted(Path(str(folder)).glob("*.toml"))}

@@ -1,0 +1,319 @@
+"""The daemon's configuration: TOML and environment in, checked frozen values out.
+
+Every key can be overridden by `PANOEXEC_<SECTION>__<KEY>`, whose text is read as a TOML value where it is one and as a
+plain string otherwise. Unknown keys, bad units and impossible combinations are errors, all reported at once. Secrets
+are never values here: they are paths of files.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping
+from ipaddress import IPv6Address
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeAlias
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, field_validator, model_validator
+
+from panoexec.errors import InputFileError
+from panoexec.inputs.validation import problem_lines, read_toml
+
+ENV_PREFIX = "PANOEXEC_"
+TURNING_MODES = frozenset({"OFFBOARD", "HOLD"})
+"""Flight modes, by MAVSDK's names, in which one autopilot or another lets itself be turned."""
+_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
+_HOST_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,252}")
+
+Positive: TypeAlias = Annotated[FiniteFloat, Field(gt=0)]
+NotNegative: TypeAlias = Annotated[FiniteFloat, Field(ge=0)]
+Fraction: TypeAlias = Annotated[FiniteFloat, Field(ge=0, le=1)]
+Overlap: TypeAlias = Annotated[FiniteFloat, Field(ge=0, lt=1)]
+ToleranceDeg: TypeAlias = Annotated[FiniteFloat, Field(ge=0, le=45)]
+Range: TypeAlias = tuple[FiniteFloat, FiniteFloat]
+EvidenceName: TypeAlias = Literal[
+    "commanded", "acknowledged", "counted", "feedback_pin", "capture_message", "file_seen"
+]
+
+
+class Section(BaseModel):
+    """What all sections share: unknown keys are errors, values do not change, defaults pass the same checks."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+
+
+def _ordered_range(value: Range, least: float, most: float) -> Range:
+    low, high = value
+    if not low < high:
+        raise ValueError(f"[{low:g}, {high:g}] is upside down or empty: the first must be less than the second")
+    if low < least or high > most:
+        raise ValueError(f"[{low:g}, {high:g}] must lie within [{least:g}, {most:g}]")
+    return value
+
+
+def _is_ipv6(text: str) -> bool:
+    try:
+        IPv6Address(text)
+    except ValueError:
+        return False
+    return True
+
+
+class VehicleSection(Section):
+    """`[vehicle]`: who we are and how the autopilot is reached."""
+
+    id: str = "drone"
+    connection: str | None = None
+    serial: str | None = None
+    baud: Annotated[int, Field(ge=1200, le=4_000_000)] = 921_600
+    component_id: Annotated[int, Field(ge=1, le=255)] = 191
+    yaw_rate_deg_s: Positive = 45.0
+    yaw_acceleration_deg_s2: Positive = 90.0
+
+    @field_validator("id")
+    @classmethod
+    def _id_fits_a_topic(cls, value: str) -> str:
+        if not _ID.fullmatch(value):
+            raise ValueError(f"{value!r} is not an id: 1 to 64 of A-Z a-z 0-9 _ - (it becomes part of MQTT topics)")
+        return value
+
+    @model_validator(mode="after")
+    def _one_way_to_connect(self) -> Self:
+        if self.connection is not None and self.serial is not None:
+            raise ValueError("connection and serial exclude each other: give one of them")
+        return self
+
+
+class GimbalSection(Section):
+    """`[gimbal]`: what the mount can do, where it does not say so itself."""
+
+    feedback: Literal["auto", "earth", "vehicle", "body", "none"] = "auto"
+    yaw: Literal["gimbal", "vehicle", "auto"] = "gimbal"
+    pitch_deg: Range | None = None
+    yaw_deg: Range | None = None
+    yaw_endless: bool | None = None
+    pitch_rate_deg_s: Positive = 60.0
+    yaw_rate_deg_s: Positive = 90.0
+    pitch_acceleration_deg_s2: Positive = 240.0
+    yaw_acceleration_deg_s2: Positive = 360.0
+    when_taken: Literal["pause", "reclaim"] = "pause"
+
+    @field_validator("pitch_deg", "yaw_deg")
+    @classmethod
+    def _ordered(cls, value: Range | None) -> Range | None:
+        return None if value is None else _ordered_range(value, -360, 360)
+
+
+class CameraSection(Section):
+    """`[camera]`: the profile, how it is triggered, and how a photo is proven."""
+
+    profile: str = "dji-x5s-15mm"
+    orientation: Literal["landscape", "portrait"] | None = None
+    focal_length_mm: Positive | None = None
+    component: Annotated[int, Field(ge=0, le=255)] = 0
+    trigger: Literal["mavlink", "serial"] = "mavlink"
+    serial_port: str | None = None
+    serial_line: Literal["rts", "dtr", "bytes"] = "rts"
+    serial_bytes: str | None = None
+    pulse_s: Annotated[FiniteFloat, Field(gt=0, le=10)] = 0.1
+    bracket: Annotated[int, Field(ge=1, le=9)] = 1
+    exposure_s: Positive | None = None
+    interval_s: NotNegative | None = None
+    latency_s: NotNegative = 0.1
+    evidence: EvidenceName = "counted"
+
+    @model_validator(mode="after")
+    def _serial_is_complete(self) -> Self:
+        if self.trigger == "serial" and not self.serial_port:
+            raise ValueError('trigger = "serial" needs serial_port, for example "/dev/serial/by-id/…"')
+        if self.serial_line == "bytes" and not self.serial_bytes:
+            raise ValueError('serial_line = "bytes" needs serial_bytes, the text to send')
+        if self.trigger == "serial" and self.evidence not in ("commanded", "acknowledged", "counted", "feedback_pin"):
+            raise ValueError(f'a serial shutter cannot prove evidence = "{self.evidence}": "commanded" is what it has')
+        return self
+
+
+class PointingSection(Section):
+    """`[pointing]`: the tolerance τ and the gate."""
+
+    tolerance_pitch_deg: ToleranceDeg = 0.1
+    tolerance_roll_deg: ToleranceDeg = 0.1
+    tolerance_yaw_deg: ToleranceDeg = 0.7
+    settle_s: NotNegative = 0.3
+    settle_timeout_s: Positive = 10.0
+    max_rate_deg_s: Positive = 5.0
+    attempts: Annotated[int, Field(ge=1, le=100)] = 3
+    accept: Literal["tolerance", "overlap"] = "tolerance"
+
+    @model_validator(mode="after")
+    def _settling_can_end(self) -> Self:
+        if self.settle_timeout_s <= self.settle_s:
+            raise ValueError(
+                f"settle_timeout_s = {self.settle_timeout_s:g} must be more than settle_s = {self.settle_s:g}"
+            )
+        return self
+
+
+class GuardsSection(Section):
+    """`[guards]`: when a mission must not start, pauses or stops."""
+
+    battery_floor_frac: Fraction = 0.25
+    hover_min: NotNegative = 20.0
+    position_drift_m: Positive = 3.0
+    allowed_modes: tuple[str, ...] = ("HOLD", "OFFBOARD", "POSCTL")
+    attitude_silence_s: Positive = 2.0
+    require_in_air: bool = False
+
+
+class MissionSection(Section):
+    """`[mission]`: what a request leaves out, and what happens to an interrupted mission at start."""
+
+    resume: Literal["auto", "offer"] = "offer"
+    method: Literal["certified", "paper", "hdrpano"] = "certified"
+    overlap_h: Overlap = 0.15
+    overlap_v: Overlap = 0.15
+    elevation_deg: Range = (-90.0, 30.0)
+    azimuth_deg: Range = (-180.0, 180.0)
+    guarantee: Literal["coverage", "all"] = "coverage"
+    reference: Literal["north", "heading"] = "north"
+    order: Literal["fastest", "rows", "columns", "nadir-first", "sky-first"] = "fastest"
+
+    @field_validator("elevation_deg")
+    @classmethod
+    def _elevations(cls, value: Range) -> Range:
+        return _ordered_range(value, -90, 90)
+
+    @field_validator("azimuth_deg")
+    @classmethod
+    def _azimuths(cls, value: Range) -> Range:
+        low, high = _ordered_range(value, -360, 540)
+        if high - low > 360:
+            raise ValueError(f"[{low:g}, {high:g}] spans {high - low:g}°: at most 360° make a full circle")
+        return value
+
+
+class MqttSection(Section):
+    """`[mqtt]`: the broker and how to speak to it; without `host` there is no ground station link."""
+
+    host: str | None = None
+    port: Annotated[int, Field(ge=1, le=65535)] = 1883
+    prefix: str = "panoexec"
+    protocol: Literal["5", "3.1.1"] = "5"
+    keepalive_s: Annotated[int, Field(ge=5, le=3600)] = 20
+    username: str | None = None
+    password_file: Path | None = None
+    ca_file: Path | None = None
+    cert_file: Path | None = None
+    key_file: Path | None = None
+
+    @field_validator("host")
+    @classmethod
+    def _host_is_a_host(cls, value: str | None) -> str | None:
+        if value is not None and not _HOST_NAME.fullmatch(value) and not _is_ipv6(value):
+            # what stands before an @ may be a password, which no message may repeat
+            shown = "what is given" if "@" in value else repr(value)
+            raise ValueError(f"{shown} is not a host: a name or an address alone, without mqtt:// and without a port")
+        return value
+
+    @field_validator("prefix")
+    @classmethod
+    def _prefix_is_a_topic(cls, value: str) -> str:
+        if not all(_ID.fullmatch(part) for part in value.split("/")):
+            raise ValueError(f"{value!r} is not a topic prefix: parts of A-Z a-z 0-9 _ - joined by single slashes")
+        return value
+
+    @model_validator(mode="after")
+    def _credentials_are_whole(self) -> Self:
+        if (self.cert_file is None) != (self.key_file is None):
+            raise ValueError("cert_file and key_file belong together: give both or neither")
+        if self.cert_file is not None and self.ca_file is None:
+            raise ValueError("cert_file needs ca_file: a client certificate is used over TLS only")
+        if self.password_file is not None and self.username is None:
+            raise ValueError("password_file needs username")
+        return self
+
+
+class StorageSection(Section):
+    """`[storage]`: where missions are kept."""
+
+    path: Path = Path("/var/lib/panoexec")
+    min_free_mb: NotNegative = 200.0
+
+
+class LogSection(Section):
+    """`[log]`: how much, and for whom."""
+
+    level: Literal["debug", "info", "warning", "error"] = "info"
+    format: Literal["auto", "human", "json"] = "auto"
+
+
+class Config(Section):
+    """The whole configuration."""
+
+    vehicle: VehicleSection = VehicleSection()
+    gimbal: GimbalSection = GimbalSection()
+    camera: CameraSection = CameraSection()
+    pointing: PointingSection = PointingSection()
+    guards: GuardsSection = GuardsSection()
+    mission: MissionSection = MissionSection()
+    mqtt: MqttSection = MqttSection()
+    storage: StorageSection = StorageSection()
+    log: LogSection = LogSection()
+
+    @model_validator(mode="after")
+    def _a_vehicle_that_pans_may_be_turned(self) -> Self:
+        modes = self.guards.allowed_modes
+        if self.gimbal.yaw != "gimbal" and modes and not set(modes) & TURNING_MODES:
+            raise ValueError(
+                f'gimbal.yaw = "{self.gimbal.yaw}" turns the vehicle, but guards.allowed_modes = {list(modes)} has no '
+                f"mode in which one can be turned: OFFBOARD (ArduPilot: GUIDED) or HOLD (PX4)"
+            )
+        return self
+
+
+def load_config(path: Path, environment: Mapping[str, str]) -> Config:
+    """Read and check a configuration.
+
+    Args:
+        path: the TOML file.
+        environment: variables, of which `PANOEXEC_<SECTION>__<KEY>` override the file.
+
+    Raises:
+        InputFileError: with every problem of the file and of the overriding variables.
+    """
+    if not path.exists():
+        copy = "config/panoexec.toml in a clone, /usr/share/panoexec/config.toml of the package"
+        raise InputFileError(str(path), [f"cannot be read: there is no such file; one to copy is {copy}"])
+    tables = read_toml(path)
+    problems = _apply_environment(tables, environment)
+    try:
+        config = Config.model_validate(tables)
+    except ValidationError as error:
+        raise InputFileError(str(path), problems + problem_lines(error)) from error
+    if problems:
+        raise InputFileError(str(path), problems)
+    return config
+
+
+def _apply_environment(tables: dict[str, Any], environment: Mapping[str, str]) -> list[str]:
+    """Put overriding variables into the tables; returns what is wrong with their names."""
+    problems: list[str] = []
+    for name, text in sorted(environment.items()):
+        if not name.startswith(ENV_PREFIX) or "__" not in name:
+            continue
+        section, _, key = name.removeprefix(ENV_PREFIX).lower().partition("__")
+        if section not in Config.model_fields:
+            known = ", ".join(sorted(Config.model_fields))
+            problems.append(f"environment variable {name}: there is no section {section!r}; sections are {known}")
+            continue
+        table = tables.setdefault(section, {})
+        if isinstance(table, dict):
+            table[key] = _toml_value(text)
+    return problems
+
+
+def _toml_value(text: str) -> object:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text

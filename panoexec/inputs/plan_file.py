@@ -1,0 +1,360 @@
+"""The plan file of the contract, `"format": "panoexec.plan/1"`: read with every problem told, written whole.
+
+A foreign file needs no more than `shots[].pitch_deg` and `yaw_deg`; what it leaves out (camera, constraints, rows) is
+given by the caller or derived. Unknown keys are ignored, so that others may add their own.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeAlias
+
+from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, field_validator, model_validator
+
+from panoexec.angles import wrap_180
+from panoexec.errors import InputFileError, UsageError
+from panoexec.files import write_atomically
+from panoexec.inputs.validation import problem_lines
+from panoexec.optics import Camera
+from panoexec.planning.model import (
+    AngleBox,
+    Band,
+    Certificate,
+    Constraints,
+    Estimate,
+    Hole,
+    Method,
+    Plan,
+    Shot,
+    Tolerance,
+)
+
+FORMAT = "panoexec.plan/1"
+MAX_SHOTS = 100_000
+_SAME_PITCH_DEG = 1e-3
+_FOV_AGREES_DEG = 0.5
+
+# strict: a text or a truth value where a number belongs is a mistake in the program that wrote it
+Finite: TypeAlias = Annotated[float, Strict(), Field(allow_inf_nan=False)]
+Whole: TypeAlias = Annotated[int, Strict()]
+Positive: TypeAlias = Annotated[Finite, Field(gt=0)]
+Overlap: TypeAlias = Annotated[Finite, Field(ge=0, lt=1)]
+Degrees: TypeAlias = Annotated[Finite, Field(ge=-720, le=720)]
+Elevation: TypeAlias = Annotated[Finite, Field(ge=-90, le=90)]
+AxisTolerance: TypeAlias = Annotated[Finite, Field(ge=0, lt=90)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+
+class _CameraModel(_Model):
+    name: str = "camera"
+    sensor_width_mm: Positive
+    sensor_height_mm: Positive
+    image_width_px: Annotated[Whole, Field(gt=0, le=1_000_000)]
+    image_height_px: Annotated[Whole, Field(gt=0, le=1_000_000)]
+    focal_length_mm: Positive
+    calibrated_focal_length_mm: Positive | None = None
+    hfov_deg: Finite | None = None
+    vfov_deg: Finite | None = None
+
+    @model_validator(mode="after")
+    def _fov_agrees(self) -> Self:
+        camera = self.camera()
+        for name in ("hfov_deg", "vfov_deg"):
+            stated, computed = getattr(self, name), getattr(camera, name)
+            if stated is not None and abs(stated - computed) > _FOV_AGREES_DEG:
+                raise ValueError(f"{name} is {stated:g}, but sensor and focal length make it {computed:.2f}")
+        return self
+
+    def camera(self) -> Camera:
+        return Camera(**self.model_dump(exclude={"hfov_deg", "vfov_deg"}))
+
+
+class _ToleranceModel(_Model):
+    pitch: AxisTolerance
+    roll: AxisTolerance
+    yaw: AxisTolerance
+
+
+class _MaskModel(_Model):
+    elevation_deg: tuple[Elevation, Elevation]
+    azimuth_deg: tuple[Degrees, Degrees]
+
+
+class _ConstraintsModel(_Model):
+    overlap_h: Overlap
+    overlap_v: Overlap
+    elevation_deg: tuple[Elevation, Elevation]
+    azimuth_deg: tuple[Degrees, Degrees] = (-180.0, 180.0)
+    tolerance_deg: _ToleranceModel
+    guarantee: Literal["coverage", "all"] = "coverage"
+    masks: Annotated[tuple[_MaskModel, ...], Field(max_length=1000)] = ()
+
+    @field_validator("elevation_deg")
+    @classmethod
+    def _not_upside_down(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if not value[0] < value[1]:
+            raise ValueError(f"[{value[0]:g}, {value[1]:g}] is upside down or empty: the lower end comes first")
+        return value
+
+    @field_validator("azimuth_deg")
+    @classmethod
+    def _a_sector(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if not 0 < value[1] - value[0] <= 360:
+            raise ValueError(f"[{value[0]:g}, {value[1]:g}] must run clockwise over more than 0 and at most 360°")
+        return value
+
+    def constraints(self) -> Constraints:
+        return Constraints(
+            overlap_h=self.overlap_h,
+            overlap_v=self.overlap_v,
+            band=Band(
+                elevation_min_deg=self.elevation_deg[0],
+                elevation_max_deg=self.elevation_deg[1],
+                azimuth_min_deg=self.azimuth_deg[0],
+                azimuth_max_deg=self.azimuth_deg[1],
+            ),
+            tolerance=Tolerance(
+                pitch_deg=self.tolerance_deg.pitch, roll_deg=self.tolerance_deg.roll, yaw_deg=self.tolerance_deg.yaw
+            ),
+            guarantee=self.guarantee,
+            masks=tuple(
+                AngleBox(
+                    elevation_min_deg=mask.elevation_deg[0],
+                    elevation_max_deg=mask.elevation_deg[1],
+                    azimuth_min_deg=mask.azimuth_deg[0],
+                    azimuth_max_deg=mask.azimuth_deg[1],
+                )
+                for mask in self.masks
+            ),
+        )
+
+
+class _ShotModel(_Model):
+    index: Annotated[Whole, Field(ge=0, lt=MAX_SHOTS)] | None = None
+    row: Annotated[Whole, Field(ge=0, lt=MAX_SHOTS)] | None = None
+    pitch_deg: Elevation
+    yaw_deg: Degrees
+
+
+class _PlanModel(_Model):
+    format: str | None = None
+    method: str | None = None
+    camera: _CameraModel | None = None
+    constraints: _ConstraintsModel | None = None
+    shots: Annotated[tuple[_ShotModel, ...], Field(min_length=1, max_length=MAX_SHOTS)]
+
+    @field_validator("format")
+    @classmethod
+    def _known_format(cls, value: str | None) -> str | None:
+        if value is not None and value != FORMAT:
+            raise ValueError(f"{value!r} is not a plan this version reads: {FORMAT!r} is (or leave it out)")
+        return value
+
+    @field_validator("shots")
+    @classmethod
+    def _indices_are_an_order(cls, shots: tuple[_ShotModel, ...]) -> tuple[_ShotModel, ...]:
+        indices = [shot.index for shot in shots if shot.index is not None]
+        if not indices:
+            return shots
+        if len(indices) < len(shots):
+            raise ValueError("some have an index and some have none: give all or none")
+        if sorted(indices) != list(range(len(shots))):
+            raise ValueError(f"index must count 0 to {len(shots) - 1}, each once, in shooting order")
+        return tuple(sorted(shots, key=lambda shot: shot.index or 0))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanFile:
+    """What a plan file says; None where it is silent.
+
+    Attributes:
+        source: the file, as the user named it.
+        method: how it was made; `foreign` if it does not say.
+        camera: the camera it is for.
+        constraints: what it was made to satisfy.
+        shots: in shooting order, rows numbered from the lowest pitch up.
+    """
+
+    source: str
+    method: Method
+    camera: Camera | None
+    constraints: Constraints | None
+    shots: tuple[Shot, ...]
+
+    def plan(self, *, camera: Camera | None = None, constraints: Constraints | None = None) -> Plan:
+        """The plan, for the camera and the constraints given, else for those of the file.
+
+        Raises:
+            UsageError: neither the caller nor the file names the camera or the constraints.
+        """
+        use_camera = camera or self.camera
+        use_constraints = constraints or self.constraints
+        if use_camera is None:
+            raise UsageError(f"{self.source} names no camera: give --camera NAME or FILE.toml")
+        if use_constraints is None:
+            raise UsageError(f"{self.source} has no constraints: give --overlap and --elevation MIN MAX")
+        return Plan(method=self.method, camera=use_camera, constraints=use_constraints, shots=self.shots)
+
+
+def read_plan_file(path: Path) -> PlanFile:
+    """Read a plan file, ours or a foreign one.
+
+    Raises:
+        InputFileError: it cannot be read, is not JSON, or is wrong; with every problem.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputFileError(str(path), [f"cannot be read: {error.strerror or error}"]) from error
+    except UnicodeDecodeError as error:
+        raise InputFileError(str(path), [f"is not UTF-8 text: byte {error.start}: {error.reason}"]) from error
+    try:
+        data = json.loads(text)
+    except json.JSONDecodeError as error:
+        where = f"line {error.lineno}, column {error.colno}"
+        raise InputFileError(str(path), [f"is not valid JSON (truncated?): {error.msg} at {where}"]) from error
+    except (ValueError, RecursionError) as error:
+        raise InputFileError(str(path), [f"is not a plan: {error}"]) from error
+    return plan_from_data(data, source=str(path))
+
+
+def plan_from_data(data: object, *, source: str) -> PlanFile:
+    """A plan from parsed JSON.
+
+    Args:
+        data: the document.
+        source: what to call it in messages.
+
+    Raises:
+        InputFileError: with every problem.
+    """
+    if not isinstance(data, dict):
+        raise InputFileError(source, ["is not a plan: a JSON object with a list `shots` is expected"])
+    try:
+        model = _PlanModel.model_validate(data)
+    except ValidationError as error:
+        raise InputFileError(source, problem_lines(error)) from error
+    methods: tuple[Method, ...] = ("certified", "paper", "hdrpano", "published")
+    return PlanFile(
+        source=source,
+        method=next((method for method in methods if method == model.method), "foreign"),
+        camera=model.camera.camera() if model.camera else None,
+        constraints=model.constraints.constraints() if model.constraints else None,
+        shots=_shots(model.shots),
+    )
+
+
+def plan_to_data(plan: Plan) -> dict[str, Any]:
+    """The plan as the JSON document of the contract."""
+    camera, constraints = plan.camera, plan.constraints
+    band = constraints.band
+    return {
+        "format": FORMAT,
+        "method": plan.method,
+        "camera": camera_to_data(camera),
+        "constraints": {
+            "overlap_h": constraints.overlap_h,
+            "overlap_v": constraints.overlap_v,
+            "elevation_deg": [band.elevation_min_deg, band.elevation_max_deg],
+            "azimuth_deg": [band.azimuth_min_deg, band.azimuth_max_deg],
+            "tolerance_deg": {
+                "pitch": constraints.tolerance.pitch_deg,
+                "roll": constraints.tolerance.roll_deg,
+                "yaw": constraints.tolerance.yaw_deg,
+            },
+            "guarantee": constraints.guarantee,
+            "masks": [
+                {
+                    "elevation_deg": [mask.elevation_min_deg, mask.elevation_max_deg],
+                    "azimuth_deg": [mask.azimuth_min_deg, mask.azimuth_max_deg],
+                }
+                for mask in constraints.masks
+            ],
+        },
+        "shots": [
+            {"index": shot.index, "row": shot.row, "pitch_deg": shot.pitch_deg, "yaw_deg": shot.yaw_deg}
+            for shot in plan.shots
+        ],
+        "certificate": certificate_to_data(plan.certificate) if plan.certificate else None,
+        "estimate": estimate_to_data(plan.estimate) if plan.estimate else None,
+        "lower_bound": plan.lower_bound,
+        "notes": list(plan.notes),
+    }
+
+
+def camera_to_data(camera: Camera) -> dict[str, Any]:
+    """A camera as plan files and manifests name it."""
+    data: dict[str, Any] = {
+        "name": camera.name,
+        "sensor_width_mm": camera.sensor_width_mm,
+        "sensor_height_mm": camera.sensor_height_mm,
+        "image_width_px": camera.image_width_px,
+        "image_height_px": camera.image_height_px,
+        "focal_length_mm": camera.focal_length_mm,
+        "hfov_deg": round(camera.hfov_deg, 6),
+        "vfov_deg": round(camera.vfov_deg, 6),
+    }
+    if camera.calibrated_focal_length_mm is not None:
+        data["calibrated_focal_length_mm"] = camera.calibrated_focal_length_mm
+    return data
+
+
+def certificate_to_data(certificate: Certificate) -> dict[str, Any]:
+    """A certificate as plan files and manifests show it."""
+    data = asdict(certificate)
+    data["holes"] = [_hole_to_data(hole) for hole in certificate.holes]
+    for key in ("failures", "bridges", "weakest_h"):
+        if data[key] is not None:
+            data[key] = [list(item) if isinstance(item, tuple) else item for item in data[key]]
+    return data
+
+
+def estimate_to_data(estimate: Estimate) -> dict[str, Any]:
+    """An estimate as plan files show it."""
+    return asdict(estimate) | {"panorama_px": list(estimate.panorama_px)}
+
+
+def write_plan(path: Path, plan: Plan) -> None:
+    """Write the plan file; readers see the old or the new one.
+
+    Raises:
+        UsageError: it cannot be written.
+    """
+    write_atomically(path, json.dumps(plan_to_data(plan), indent=1, allow_nan=False) + "\n")
+
+
+def _hole_to_data(hole: Hole) -> dict[str, float]:
+    return {"elevation_deg": hole.elevation_deg, "azimuth_deg": hole.azimuth_deg, "size_deg": hole.size_deg}
+
+
+def _shots(models: Sequence[_ShotModel]) -> tuple[Shot, ...]:
+    shots = [
+        Shot(index=i, row=model.row or 0, pitch_deg=model.pitch_deg, yaw_deg=_wrapped(model.yaw_deg))
+        for i, model in enumerate(models)
+    ]
+    if all(model.row is not None for model in models):
+        return tuple(shots)
+    return tuple(_with_rows(shots))
+
+
+def _wrapped(yaw_deg: float) -> float:
+    """The yaw in [-180, 180); untouched if it is there already, as wrapping may round in the last place."""
+    return yaw_deg if -180.0 <= yaw_deg < 180.0 else float(wrap_180(yaw_deg))
+
+
+def _with_rows(shots: Sequence[Shot]) -> list[Shot]:
+    """Number rows from the lowest pitch up; pitches closer than a thousandth of a degree are one row."""
+    rows: dict[int, int] = {}
+    row, last = -1, -1000.0
+    for shot in sorted(shots, key=lambda s: s.pitch_deg):
+        if shot.pitch_deg - last > _SAME_PITCH_DEG:
+            row += 1
+        last = shot.pitch_deg
+        rows[shot.index] = row
+    return [replace(shot, row=rows[shot.index]) for shot in shots]

@@ -1,0 +1,1 @@
+"""The record of a mission: its events, states, and what follows from them."""

@@ -1,0 +1,397 @@
+"""Everything that happens in a mission, as values: what the journal keeps, the executor's memory folds, consumers see.
+
+An event is stamped with its mission and a running number `seq` that goes on across restarts of the process, so
+`mission_id` and `seq` together let a consumer drop repeats; events of a shot also carry the shot's index and the number
+of the attempt. An event is announced only after the journal has it.
+
+Angles of attitudes are in the plan's frame: yaw 0 is the plan's reference direction. Quaternions are `[w, x, y, z]`,
+camera (FRD) to that frame (NED); roll, pitch and yaw are the gimbal's axes in 3-1-2 order (`panoexec.angles`).
+"""
+
+from __future__ import annotations
+
+import re
+import types
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, ClassVar, Protocol
+
+from panoexec.codec import decode, encode
+from panoexec.devices import EvidenceLevel, Quaternion
+from panoexec.mission.log.states import MissionState
+
+NAN = float("nan")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxisErrors:
+    """The largest pointing errors of an exposure, each with its sign, degrees (`planning.geometry.pose_error`)."""
+
+    pitch_deg: float
+    roll_deg: float
+    yaw_deg: float
+    across_deg: float
+    along_deg: float
+    rotation_deg: float
+    boresight_deg: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredPose:
+    """The mean attitude over an exposure, in the plan's frame."""
+
+    q_wxyz: Quaternion
+    roll_deg: float
+    pitch_deg: float
+    yaw_deg: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Photo:
+    """What is known of one photo.
+
+    Attributes:
+        number: within its attempt, from 1 (brackets have several).
+        evidence: the best proof so far.
+        capture_time_utc_s: when it was exposed: as the camera says, else when the trigger went out.
+        image_index: the camera's running number, or -1.
+        file: name or URL as the camera tells it, or "".
+        latitude_deg, longitude_deg, altitude_m: where, or NaN.
+        duplicates: further reports of the same photo.
+    """
+
+    number: int
+    evidence: EvidenceLevel
+    capture_time_utc_s: float
+    image_index: int = -1
+    file: str = ""
+    latitude_deg: float = NAN
+    longitude_deg: float = NAN
+    altitude_m: float = NAN
+    duplicates: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """The head of every event; the recorder stamps it.
+
+    Attributes:
+        mission_id: which mission.
+        seq: 1, 2, 3, … within the mission.
+        time_utc_s: wall time.
+        clock_s: the mission's clock, seconds (of a dry-run: the simulated vehicle's); differences within one process
+            are durations, whatever became of wall time. NaN where nobody told.
+        state: the mission's state after the event.
+    """
+
+    mission_id: str = ""
+    seq: int = 0
+    time_utc_s: float = 0.0
+    clock_s: float = NAN
+    state: MissionState = MissionState.IDLE
+
+    type: ClassVar[str] = "event"
+
+    def __init_subclass__(cls) -> None:
+        cls.type = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+
+    def to_json(self) -> dict[str, Any]:
+        """A JSON object: `type`, `id`, `time` (ISO 8601 UTC) and the fields; NaN becomes null."""
+        stamp = datetime.fromtimestamp(self.time_utc_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        head = {"type": self.type, "id": f"{self.mission_id}/{self.seq}", "time": stamp}
+        return head | encode(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissionStarted(Event):
+    """The mission begins, or goes on in a new process (`resumed`); preflight checks follow."""
+
+    shots_total: int
+    resumed: bool = False
+    reference: str = "north"
+    """What yaw 0 means: `north` or `heading`."""
+    reference_yaw_north_deg: float = 0.0
+    """Direction of the plan's yaw 0, clockwise from true north."""
+    latitude_deg: float = NAN
+    longitude_deg: float = NAN
+    altitude_m: float = NAN
+    """Above mean sea level."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissionAnchored(Event):
+    """The vehicle told later than at the start of the process where it is, or where its nose points."""
+
+    reference_yaw_north_deg: float = NAN
+    """Direction of the plan's yaw 0, clockwise from true north; holds if none was known."""
+    latitude_deg: float = NAN
+    longitude_deg: float = NAN
+    altitude_m: float = NAN
+    """Above mean sea level."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PreflightPassed(Event):
+    """All checks before the flight are good; shooting begins."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PreflightFailed(Event):
+    """Checks before the flight failed; the mission does not begin."""
+
+    problems: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CommandReceived(Event):
+    """Somebody asked for something while the mission runs."""
+
+    command: str
+    shot: int | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Warned(Event):
+    """Something that a pilot should know and that stops nothing."""
+
+    code: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GimbalAcquired(Event):
+    """The gimbal's manager names us as the one in control."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GimbalReleased(Event):
+    """Control of the gimbal was given back (or the gimbal could not be reached within the bound)."""
+
+    confirmed: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissionPaused(Event):
+    """Shooting holds.
+
+    Attributes:
+        code: the guard or command that paused it.
+        reason: for the pilot.
+        automatic: goes on by itself when the reason is gone; else it waits for `resume`.
+    """
+
+    code: str
+    reason: str
+    automatic: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissionResumed(Event):
+    """Shooting goes on after a pause of `paused_s`."""
+
+    paused_s: float
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissionFinishing(Event):
+    """Nothing is left to shoot, or somebody accepts the gaps."""
+
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PatchPlanned(Event):
+    """Shots were added to close holes that the measured attitudes leave."""
+
+    shots: tuple[int, ...]
+    rows: tuple[int, ...]
+    """The row of each that it belongs to, -1 for none."""
+    pitch_deg: tuple[float, ...]
+    yaw_deg: tuple[float, ...]
+    holes: int
+    largest_hole_deg: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissionFinished(Event):
+    """The end: the state is one of complete, incomplete, aborted, failed.
+
+    Attributes:
+        reason: why it ended so.
+        accepted: shots with an accepted photo.
+        missing: indices of shots without one.
+        certified: whether the measured attitudes pass the certificate; None if it was not computed.
+    """
+
+    reason: str
+    accepted: int
+    missing: tuple[int, ...]
+    certified: bool | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShotEvent(Event):
+    """Head of the events of one attempt at a shot; attempts of a shot count from 1 across rounds and restarts."""
+
+    shot: int
+    attempt: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShotStarted(ShotEvent):
+    """The slew to a shot begins; durable before its trigger goes out.
+
+    Attributes:
+        round: 0 in the first pass over the shots, then 1, 2, … for shots put off.
+        pitch_deg, yaw_deg: the target in the plan's frame.
+        patience_s: how long it may take to settle beyond the expected slew.
+    """
+
+    round: int
+    pitch_deg: float
+    yaw_deg: float
+    patience_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShotExposed(ShotEvent):
+    """Photos were triggered, and the attitudes of the exposure are judged; evidence may still be on its way.
+
+    Attributes:
+        photos: with the evidence known by now.
+        pointing_ok: every sample of the exposure window was inside tolerance, and there were enough of them.
+        reason: why not.
+        samples: attitude samples judged.
+        measured: mean attitude; None without usable samples.
+        errors: the worst of each error; None likewise.
+        slew_settle_s: from the pointing command to settled.
+        trigger_delay_s: from settled to the trigger command on the wire.
+        open_loop: there is no attitude feedback; the pose is a belief.
+        images_before: how many images the camera counted before the trigger; -1 where that was not known.
+        may_overlap: outside tolerance, but sharp: the overlaps decide.
+    """
+
+    photos: tuple[Photo, ...]
+    pointing_ok: bool
+    reason: str
+    samples: int
+    measured: MeasuredPose | None
+    errors: AxisErrors | None
+    slew_settle_s: float
+    trigger_delay_s: float
+    open_loop: bool = False
+    images_before: int = -1
+    may_overlap: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShotAccepted(ShotEvent):
+    """The attempt counts: pointing proven and the photo evident.
+
+    Attributes:
+        photos: with the evidence that decided.
+        by: `tolerance`, `overlap` (outside tolerance, but the certificate holds with the measured attitude) or
+            `open_loop`.
+    """
+
+    photos: tuple[Photo, ...]
+    by: str = "tolerance"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShotRejected(ShotEvent):
+    """The attempt does not count.
+
+    Attributes:
+        code: `not_settled`, `pointing`, `no_samples`, `trigger`, `evidence`, `gimbal`, `vehicle`, `crash`.
+        reason: for the pilot, with figures.
+    """
+
+    code: str
+    reason: str
+    photos: tuple[Photo, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShotInterrupted(ShotEvent):
+    """The attempt ended before its photo, through no fault of the shot; it does not count as tried."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShotRetaken(ShotEvent):
+    """The attempt with this number will try the shot again at once, for this reason."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShotDeferred(ShotEvent):
+    """The shot comes again after the others; `attempt` was the last one."""
+
+    reason: str
+    round: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShotMissed(ShotEvent):
+    """All attempts are used up; the shot stays a gap unless it is repeated or patched."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShotSkipped(ShotEvent):
+    """Somebody decided to leave the shot out."""
+
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhotoIdentified(ShotEvent):
+    """More became known of an attempt's photos after its verdict (a file name, better evidence)."""
+
+    photos: tuple[Photo, ...]
+
+
+class EventSink(Protocol):
+    """Where events go once they are durable."""
+
+    def publish(self, event: Event) -> None:
+        """Take one event, at once; must not block and must not raise."""
+        ...
+
+
+def _concrete(cls: type[Event]) -> dict[str, type[Event]]:
+    out: dict[str, type[Event]] = {}
+    for sub in cls.__subclasses__():
+        out[sub.type] = sub
+        out |= _concrete(sub)
+    return out
+
+
+EVENT_TYPES: Mapping[str, type[Event]] = types.MappingProxyType(
+    {name: cls for name, cls in _concrete(Event).items() if name != "shot_event"}
+)
+"""All kinds of events by the `type` of their JSON."""
+
+
+class UnknownEventError(ValueError):
+    """An event of a type that this version does not have."""
+
+
+def event_from_json(data: Mapping[str, Any]) -> Event:
+    """The event that `to_json` wrote.
+
+    Raises:
+        UnknownEventError: an unknown type.
+        ValueError: fields that do not fit it.
+    """
+    cls = EVENT_TYPES.get(str(data.get("type"))) if isinstance(data, Mapping) else None
+    if cls is None:
+        raise UnknownEventError(f"no event of a known type: {str(data)[:80]}")
+    return decode(cls, data)

@@ -1,0 +1,389 @@
+"""What is known of a mission: a fold over its events, the same while flying and after a restart."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import numpy as np
+
+from panoexec.angles import FloatArray, rotation, rotation_from_quaternion
+from panoexec.devices import EvidenceLevel
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.states import ENDED, MissionState, check_transition
+from panoexec.mission.pointing.poses import pose_of
+from panoexec.planning.model import Shot
+
+
+class ShotStatus(StrEnum):
+    """Where a shot stands; a shot is always in exactly one of these."""
+
+    PENDING = "pending"
+    """Not tried, or to be tried again."""
+    ACTIVE = "active"
+    """An attempt is on its way to its photo."""
+    EXPOSED = "exposed"
+    """Photo taken and pointing proven; evidence is awaited."""
+    ACCEPTED = "accepted"
+    DEFERRED = "deferred"
+    """Comes again after the others."""
+    SKIPPED = "skipped"
+    """Left out by decision."""
+    MISSED = "missed"
+    """All attempts used up."""
+
+
+class Verdict(StrEnum):
+    """How an attempt ended, or where it is."""
+
+    OPEN = "open"
+    ACCEPTED = "accepted"
+    REJECTED = "rejected"
+    INTERRUPTED = "interrupted"
+
+
+@dataclass(slots=True, kw_only=True)
+class AttemptRecord:
+    """One attempt at a shot; grows while events come in."""
+
+    number: int
+    round: int
+    pitch_deg: float
+    yaw_deg: float
+    started_utc_s: float
+    verdict: Verdict = Verdict.OPEN
+    by: str = ""
+    code: str = ""
+    reason: str = ""
+    exposed: ev.ShotExposed | None = None
+    photos: tuple[ev.Photo, ...] = ()
+
+    @property
+    def evidence(self) -> EvidenceLevel | None:
+        """The weakest evidence among its photos; None without a photo."""
+        return min((photo.evidence for photo in self.photos), default=None)
+
+
+@dataclass(slots=True, kw_only=True)
+class ShotRecord:
+    """One shot and all attempts at it."""
+
+    shot: Shot
+    status: ShotStatus = ShotStatus.PENDING
+    reason: str = ""
+    attempts: list[AttemptRecord] = field(default_factory=list)
+    patch: bool = False
+
+    @property
+    def accepted(self) -> AttemptRecord | None:
+        """The attempt that counts: the last accepted one."""
+        return next((a for a in reversed(self.attempts) if a.verdict is Verdict.ACCEPTED), None)
+
+    @property
+    def open_attempt(self) -> AttemptRecord | None:
+        """The attempt without a verdict, if there is one."""
+        return next((a for a in reversed(self.attempts) if a.verdict is Verdict.OPEN), None)
+
+
+@dataclass(slots=True)
+class Asked:
+    """What was asked of the mission by command, and is not done yet: a process that dies must not forget it.
+
+    Attributes:
+        end: the command that ends it, `abort` or `finish`; "" for none.
+        reason: that was given with it.
+        pause: it is to hold until somebody says `resume`.
+        skips: shots to be left out, whose attempt is still to get its verdict.
+        repeats: shots to be taken again.
+    """
+
+    end: str = ""
+    reason: str = ""
+    pause: bool = False
+    skips: set[int] = field(default_factory=set)
+    repeats: set[int] = field(default_factory=set)
+
+    def hear(self, event: ev.Event) -> None:
+        """Take what was asked for, or what makes it superfluous."""
+        match event:
+            case ev.CommandReceived():
+                self._take(event)
+            case ev.MissionStarted():
+                self.pause = False  # somebody wants it to go on
+            case ev.ShotSkipped():
+                self.skips.discard(event.shot)
+                self.repeats.discard(event.shot)
+            case ev.ShotAccepted():
+                self.skips.discard(event.shot)
+            case ev.ShotStarted():  # from here on the shot's own status tells
+                self.repeats.discard(event.shot)
+
+    def _take(self, event: ev.CommandReceived) -> None:
+        """Take a command; an abort overrules a finish."""
+        match event.command:
+            case "abort" | "finish" if self.end != "abort":
+                self.end, self.reason = event.command, event.reason
+            case "pause" | "resume":
+                self.pause = event.command == "pause"
+            case "skip" if event.shot is not None:
+                self.skips.add(event.shot)
+            case "repeat" if event.shot is not None:
+                self.skips.discard(event.shot)
+                self.repeats.add(event.shot)
+
+
+class MissionRecord:
+    """The state of a mission as its events tell it.
+
+    Applying an event that contradicts the ones before is an error of the program (or a damaged journal), never ignored:
+    an illegal transition, a verdict on an attempt that never began, a second verdict on one.
+    """
+
+    def __init__(self, *, mission_id: str, shots: Sequence[Shot]) -> None:
+        self.mission_id = mission_id
+        self.shots: dict[int, ShotRecord] = {shot.index: ShotRecord(shot=shot) for shot in shots}
+        self.state = MissionState.IDLE
+        self.reason = ""
+        self.seq = 0
+        self.reference = "north"
+        self.reference_yaw_north_deg = math.nan
+        self.origin: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+        """Latitude, longitude, altitude above sea level where the mission began, or went on after a restart."""
+        self.anchored = False
+        """Whether this process knows it."""
+        self.first_origin = self.origin
+        """Where the first photos were taken."""
+        self.last_accepted: int | None = None
+        """The shot whose photo was accepted last."""
+        self.started_utc_s = math.nan
+        self.finished_utc_s = math.nan
+        self.restarts = 0
+        self.retakes = 0
+        self.current: int | None = None
+        self.gimbal_held = False
+        """This process has the gimbal."""
+        self.gimbal_left = False
+        """An earlier process had it when it ended, and did not give it back."""
+        self.open_loop = False
+        self.certified: bool | None = None
+        self.warnings: list[str] = []
+        self.patch_rounds = 0
+        self.asked = Asked()
+        self._done: set[int] = set()
+        self._attempts = 0
+
+    @classmethod
+    def from_events(cls, *, mission_id: str, shots: Sequence[Shot], events: Iterable[ev.Event]) -> MissionRecord:
+        """The record that these events lead to."""
+        record = cls(mission_id=mission_id, shots=shots)
+        for event in events:
+            record.apply(event)
+        return record
+
+    def apply(self, event: ev.Event) -> None:  # noqa: C901, PLR0912  (one case a kind of event)
+        """Take the next event.
+
+        Raises:
+            MissionError: it contradicts what came before.
+            ValueError: likewise.
+        """
+        if event.seq != self.seq + 1:
+            raise ValueError(f"event {event.seq} after {self.seq}: one is missing or came twice")
+        if isinstance(event, ev.MissionStarted):
+            self.state = MissionState.IDLE  # a new process: whatever the last one was doing ended with it
+        if event.state is not self.state:
+            check_transition(self.state, event.state)
+            self.state = event.state
+            self.reason = ""
+        self.seq = event.seq
+        self.asked.hear(event)
+        match event:
+            case ev.MissionStarted():
+                self._start(event)
+            case ev.MissionAnchored():
+                self._anchor(event)
+            case ev.MissionPaused() | ev.MissionFinishing():
+                self.reason = event.reason
+            case ev.MissionFinished():
+                self.reason = event.reason
+                self.finished_utc_s = event.time_utc_s
+                self.certified = event.certified
+                self.current = None
+            case ev.GimbalAcquired():
+                self.gimbal_held = True
+            case ev.GimbalReleased():
+                self.gimbal_held = self.gimbal_left = False
+            case ev.Warned():
+                self.warnings.append(event.text)
+            case ev.PatchPlanned():
+                self._patch(event)
+            case ev.ShotEvent():
+                self._apply_shot(event)
+            case _:
+                pass
+
+    def _start(self, event: ev.MissionStarted) -> None:
+        self.gimbal_left |= self.gimbal_held
+        self.gimbal_held = False
+        self.anchored = False
+        self._anchor(event)
+        if event.resumed:
+            self.restarts += 1
+            return
+        self.reference = event.reference
+        self.started_utc_s = event.time_utc_s
+
+    def _anchor(self, event: ev.MissionStarted | ev.MissionAnchored) -> None:
+        if not self.anchored and not math.isnan(event.latitude_deg):
+            self.origin = (event.latitude_deg, event.longitude_deg, event.altitude_m)
+            self.anchored = True
+            if math.isnan(self.first_origin[0]):
+                self.first_origin = self.origin
+        # the earlier photos depend on this direction, so it stays once it is known
+        if math.isnan(self.reference_yaw_north_deg):
+            self.reference_yaw_north_deg = event.reference_yaw_north_deg
+
+    def _patch(self, event: ev.PatchPlanned) -> None:
+        self.patch_rounds += 1
+        for index, row, pitch, yaw in zip(event.shots, event.rows, event.pitch_deg, event.yaw_deg, strict=True):
+            shot = Shot(index=index, row=row, pitch_deg=pitch, yaw_deg=yaw)
+            self.shots[index] = ShotRecord(shot=shot, patch=True)
+
+    def _apply_shot(self, event: ev.ShotEvent) -> None:
+        record = self.shots[event.shot]
+        match event:
+            case ev.ShotStarted():
+                if record.open_attempt is not None or event.attempt != len(record.attempts) + 1:
+                    raise ValueError(f"shot {event.shot}: attempt {event.attempt} cannot begin now")
+                record.attempts.append(
+                    AttemptRecord(
+                        number=event.attempt,
+                        round=event.round,
+                        pitch_deg=event.pitch_deg,
+                        yaw_deg=event.yaw_deg,
+                        started_utc_s=event.time_utc_s,
+                    )
+                )
+                record.status = ShotStatus.ACTIVE
+                self.current = event.shot
+                self._attempts += 1
+            case ev.ShotExposed():
+                attempt = self._open(event)
+                attempt.exposed, attempt.photos = event, event.photos
+                self.open_loop |= event.open_loop
+                record.status = ShotStatus.EXPOSED
+            case ev.ShotAccepted():
+                attempt = self._open(event)
+                if attempt.exposed is None:
+                    raise ValueError(f"shot {event.shot}: attempt {event.attempt} accepted without an exposure")
+                attempt.verdict, attempt.by, attempt.photos = Verdict.ACCEPTED, event.by, event.photos
+                record.status, record.reason = ShotStatus.ACCEPTED, ""
+                self.last_accepted = event.shot
+                self._done.add(event.shot)  # for good: what is accepted is never taken back, only repeated
+            case ev.ShotRejected():
+                attempt = self._open(event)
+                attempt.verdict, attempt.code, attempt.reason = Verdict.REJECTED, event.code, event.reason
+                attempt.photos = event.photos or attempt.photos
+                record.status, record.reason = ShotStatus.PENDING, event.reason
+            case ev.ShotInterrupted():
+                attempt = self._open(event)
+                attempt.verdict, attempt.reason = Verdict.INTERRUPTED, event.reason
+                record.status = ShotStatus.PENDING
+            case _:
+                self._apply_decision(event, record)
+
+    def _apply_decision(self, event: ev.ShotEvent, record: ShotRecord) -> None:
+        match event:
+            case ev.ShotRetaken():
+                self.retakes += 1
+            case ev.ShotDeferred():
+                self.retakes += 1
+                record.status, record.reason = ShotStatus.DEFERRED, event.reason
+            case ev.ShotMissed() | ev.ShotSkipped():
+                ended = ShotStatus.MISSED if isinstance(event, ev.ShotMissed) else ShotStatus.SKIPPED
+                # a repeat that came to nothing leaves the earlier photo in force
+                record.status = ended if record.accepted is None else ShotStatus.ACCEPTED
+                record.reason = event.reason
+            case ev.PhotoIdentified():
+                attempt = record.attempts[event.attempt - 1]
+                attempt.photos = event.photos
+            case _:
+                raise ValueError(f"no rule for {event.type}")
+
+    def _open(self, event: ev.ShotEvent) -> AttemptRecord:
+        attempts = self.shots[event.shot].attempts
+        if not 1 <= event.attempt <= len(attempts) or attempts[event.attempt - 1].verdict is not Verdict.OPEN:
+            raise ValueError(f"shot {event.shot}: {event.type} for attempt {event.attempt}, which is not open")
+        return attempts[event.attempt - 1]
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing happens any more in this process."""
+        return self.state in ENDED
+
+    @property
+    def shots_total(self) -> int:
+        """Shots of the plan and patches."""
+        return len(self.shots)
+
+    @property
+    def shots_done(self) -> int:
+        """Shots with an accepted photo."""
+        return len(self._done)
+
+    @property
+    def attempts(self) -> int:
+        """Attempts begun, of all shots."""
+        return self._attempts
+
+    def missing(self) -> tuple[int, ...]:
+        """Indices of shots without an accepted photo, in shooting order."""
+        return tuple(index for index, r in sorted(self.shots.items()) if r.accepted is None)
+
+    def measured(self, *, also: Sequence[tuple[int, ev.MeasuredPose]] = ()) -> tuple[FloatArray, list[int]]:
+        """Measured attitudes of the accepted shots (n, 3, 3), camera to plan frame, and the row of each.
+
+        Args:
+            also: shots to be counted too, with the pose given; the last pose given for a shot holds.
+        """
+        poses: dict[int, ev.MeasuredPose] = {}
+        for index, shot in sorted(self.shots.items()):
+            attempt = shot.accepted
+            if attempt is not None and attempt.exposed is not None and attempt.exposed.measured is not None:
+                poses[index] = attempt.exposed.measured
+        poses |= dict(also)
+        q = np.array([poses[index].q_wxyz for index in sorted(poses)], dtype=np.float64).reshape(-1, 4)
+        rows = [self.shots[index].shot.row for index in sorted(poses)]
+        return (rotation_from_quaternion(q) if rows else np.empty((0, 3, 3))), rows
+
+    def wanted(self) -> list[tuple[int, ev.MeasuredPose]]:
+        """Shots that are still to come, with the poses they are believed to get: measured if exposed, else planned."""
+        coming = {ShotStatus.PENDING, ShotStatus.ACTIVE, ShotStatus.DEFERRED, ShotStatus.EXPOSED}
+        out = []
+        for index, shot in sorted(self.shots.items()):
+            if shot.status in coming and shot.accepted is None:
+                attempt = shot.open_attempt
+                exposed = None if attempt is None else attempt.exposed
+                pose = None if exposed is None or not exposed.pointing_ok else exposed.measured
+                out.append((index, pose or planned_pose(shot.shot)))
+        return out
+
+    def skipped(self) -> list[tuple[int, ev.MeasuredPose]]:
+        """Shots that were left out by decision, with their planned poses."""
+        return [
+            (index, planned_pose(shot.shot))
+            for index, shot in sorted(self.shots.items())
+            if shot.status is ShotStatus.SKIPPED
+        ]
+
+    def renumbered(self, shots: Sequence[Shot]) -> list[Shot]:
+        """The shots with indices that follow the last one of the mission."""
+        first = max(self.shots, default=-1) + 1
+        return [replace(shot, index=first + i) for i, shot in enumerate(shots)]
+
+
+def planned_pose(shot: Shot) -> ev.MeasuredPose:
+    """The pose of a shot as planned."""
+    return pose_of(rotation(shot.yaw_deg, shot.pitch_deg))

@@ -1,0 +1,97 @@
+"""Stamps events, keeps the record, and announces an event only when the journal has it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+from panoexec.clock import Clock
+from panoexec.mission.log.events import Event, EventSink
+from panoexec.mission.log.record import MissionRecord
+from panoexec.mission.log.states import MissionState
+from panoexec.mission.protocols import Journal
+
+E = TypeVar("E", bound=Event)
+
+
+class Recorder:
+    """The one way by which something becomes part of a mission.
+
+    `emit` changes the record at once, in memory; the `run` task writes what has gathered in one transaction and then
+    publishes it, so that the mission never waits for the disk unless it asks to (`durable`).
+    """
+
+    def __init__(self, *, record: MissionRecord, journal: Journal, sink: EventSink, clock: Clock) -> None:
+        self.record = record
+        self._journal = journal
+        self._sink = sink
+        self._clock = clock
+        self._queue: list[Event] = []
+        self._durable_seq = record.seq
+        self._progress = asyncio.Event()
+        self._work = asyncio.Event()
+        self._closing = False
+
+    def emit(self, event: E, state: MissionState | None = None) -> E:
+        """Stamp the event, apply it to the record and put it on its way to the journal.
+
+        Args:
+            event: without its stamp.
+            state: the mission's state from now on; None: it stays.
+
+        Raises:
+            MissionError: the record refuses it: a fault of the program.
+            ValueError: likewise.
+        """
+        stamped = replace(
+            event,
+            mission_id=self.record.mission_id,
+            seq=self.record.seq + 1,
+            time_utc_s=self._clock.time(),
+            clock_s=self._clock.monotonic(),
+            state=self.record.state if state is None else state,
+        )
+        self.record.apply(stamped)
+        self._queue.append(stamped)
+        self._work.set()
+        return stamped
+
+    def blocker(self, seq: int) -> asyncio.Event | None:
+        """None when event `seq` is on disk and announced; else an event to wait for before asking again."""
+        return None if self._durable_seq >= seq else self._progress
+
+    async def durable(self) -> None:
+        """Return when everything emitted so far is on disk and announced."""
+        seq = self.record.seq
+        while (blocker := self.blocker(seq)) is not None:
+            await blocker.wait()
+
+    async def run(self) -> None:
+        """Write and announce until closed.
+
+        Raises:
+            MissionError: the journal cannot be written; the mission must end.
+        """
+        while True:
+            await self._work.wait()
+            self._work.clear()
+            batch: Sequence[Event] = tuple(self._queue)
+            self._queue.clear()
+            if batch:
+                await self._journal.append(batch)
+                for event in batch:
+                    self._sink.publish(event)
+                self._durable_seq = batch[-1].seq
+                done, self._progress = self._progress, asyncio.Event()
+                done.set()
+            elif self._closing:
+                return
+            if self._queue or self._closing:
+                self._work.set()
+
+    def close(self) -> None:
+        """Let `run` return when all is written."""
+        self._closing = True
+        self._work.set()

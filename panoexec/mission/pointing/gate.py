@@ -1,0 +1,258 @@
+"""The pointing gate: a verdict on poses. Pure logic over readings of the gimbal's attitude (`poses`).
+
+`SettleTracker` says when a pose has been inside tolerance and still for long enough; `judge_window` checks every
+reading of an exposure afterwards. What a pose error is, is defined in one place, `planning.geometry.pose_error`.
+
+Missing, late, or unusable: each is out of tolerance, with a reason. A reading counts from the moment it arrived, which
+is later than when it was measured by the delay of the link.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from panoexec.angles import (
+    FloatArray,
+    angle_between,
+)
+from panoexec.mission.log.events import AxisErrors, MeasuredPose
+from panoexec.mission.pointing.poses import Reading, mean_pose
+from panoexec.planning.geometry.pose_error import PoseError, pose_error
+from panoexec.planning.model import Tolerance
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """Where a shot must point, in the plan's frame; roll is 0.
+
+    Attributes:
+        pitch_deg: positive up.
+        yaw_deg: clockwise from the plan's reference.
+        tolerance: of each axis.
+    """
+
+    pitch_deg: float
+    yaw_deg: float
+    tolerance: Tolerance
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SettleLimits:
+    """What settled means.
+
+    Attributes:
+        settle_s: how long every sample must have been inside tolerance.
+        max_rate_deg_s: largest angular speed.
+        max_gap_s: longest silence between samples that still proves something.
+        told_rates: whether to believe the angular speed that the device tells; else it is taken from the samples, where
+            a camera turns with an airframe whose gyroscopes shake with its motors.
+    """
+
+    settle_s: float
+    max_rate_deg_s: float
+    max_gap_s: float
+    told_rates: bool = True
+
+
+class SettleTracker:
+    """Fed with readings in the order they arrive, it says whether the pose is settled now.
+
+    Where the gimbal tells no angular speed, the speed is that from the oldest to the newest reading of the settle
+    time, so that encoder noise does not look like motion.
+    """
+
+    def __init__(self, *, target: Target, limits: SettleLimits) -> None:
+        self._target = target
+        self._limits = limits
+        self._inside: deque[Reading] = deque()
+        self._inside_since = math.nan
+        self._newest = math.nan
+        self._last: PoseError | None = None
+        self._rate = math.nan
+        self._problem: str | None = "no attitude sample arrived"
+
+    @property
+    def problem(self) -> str:
+        """Why the newest reading is not inside tolerance and still; "" when it is."""
+        if self._problem is None and self._last is not None:  # put into words only when somebody asks
+            self._problem = describe_error(self._last, self._target.tolerance)
+        return self._problem or ""
+
+    @property
+    def inside_since_s(self) -> float:
+        """When the unbroken run of good readings began; NaN outside one."""
+        return self._inside_since
+
+    @property
+    def settled_at_s(self) -> float:
+        """When the settle time is over if nothing changes; NaN while the newest reading is bad."""
+        return self._inside_since + self._limits.settle_s
+
+    def is_settled(self, now_s: float) -> bool:
+        """Whether every sample has been inside tolerance, and slow, for the settle time, and the newest is fresh."""
+        return self.settled_at_s <= now_s + 1e-9 and not self.is_stale(now_s)
+
+    @property
+    def error(self) -> PoseError | None:
+        """The newest pose error; None without a usable reading."""
+        return self._last
+
+    def add(self, *readings: Reading) -> None:
+        """Take the next readings; many at once cost little more than one."""
+        usable = [reading.rotation for reading in readings if reading.rotation is not None]
+        errors = pose_error(self._target.pitch_deg, self._target.yaw_deg, np.stack(usable)) if usable else None
+        inside = iter([] if errors is None else errors.within(self._target.tolerance).tolist())
+        for reading in readings:
+            self._take(reading, inside=reading.rotation is not None and next(inside))
+        if readings:
+            self._last = None if errors is None or readings[-1].rotation is None else errors[-1]
+
+    def _take(self, reading: Reading, *, inside: bool) -> None:
+        silent = reading.time_s - self._newest
+        self._newest = reading.time_s
+        self._problem = self._judge(reading, inside=inside)
+        bad = self._problem != ""
+        if bad or silent > self._limits.max_gap_s:
+            self._inside.clear()
+            self._inside_since = math.nan
+        if bad:
+            return
+        if math.isnan(self._inside_since):
+            self._inside_since = reading.time_s
+        self._inside.append(reading)
+        while len(self._inside) > 2 and self._inside[1].time_s <= reading.time_s - self._limits.settle_s:
+            self._inside.popleft()
+
+    def is_stale(self, now_s: float) -> bool:
+        """Whether the newest reading is too old to say where the gimbal is at `now_s`."""
+        return not now_s - self._newest <= self._limits.max_gap_s
+
+    def _judge(self, reading: Reading, *, inside: bool) -> str | None:
+        """What is wrong with a reading: "" nothing, None that it is out of tolerance."""
+        if reading.rotation is None:
+            return reading.problem
+        if not inside:
+            return None
+        rate = self._rate_deg_s(reading)
+        if rate > self._limits.max_rate_deg_s:
+            return f"still turning at {rate:.1f}°/s (at most {self._limits.max_rate_deg_s:g}°/s)"
+        return ""
+
+    def _rate_deg_s(self, reading: Reading) -> float:
+        if self._limits.told_rates and not math.isnan(reading.rate_deg_s):
+            return reading.rate_deg_s
+        oldest = self._inside[0] if self._inside else None
+        if oldest is None or oldest.rotation is None or reading.rotation is None:
+            return 0.0
+        elapsed = reading.time_s - oldest.time_s
+        if elapsed < min(0.1, self._limits.settle_s) or elapsed <= 0:
+            return 0.0
+        turned = pose_error(0.0, 0.0, oldest.rotation.T @ reading.rotation)
+        return (
+            math.sqrt(sum(float(v) ** 2 for v in (turned.across_deg, turned.along_deg, turned.rotation_deg))) / elapsed
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WindowVerdict:
+    """The verdict on an exposure.
+
+    Attributes:
+        ok: every moment of the window is proven inside tolerance.
+        reason: why not, with figures; "" when ok.
+        code: `pointing` (out of tolerance) or `no_samples` (not proven); "" when ok.
+        samples: how many were judged.
+        measured: mean attitude of the usable samples; None without one.
+        errors: the worst of each error over the usable samples; None likewise.
+        spread_deg: the largest boresight angle between a usable sample and the first: how far it moved.
+    """
+
+    ok: bool
+    reason: str
+    code: str
+    samples: int
+    measured: MeasuredPose | None
+    errors: AxisErrors | None
+    spread_deg: float = math.nan
+
+
+def judge_window(
+    readings: Iterable[Reading], *, target: Target, start_s: float, end_s: float, max_gap_s: float
+) -> WindowVerdict:
+    """Judge every reading of an exposure.
+
+    The window is proven when a reading lies close before its start, none is out of tolerance, and no part of the
+    window longer than `max_gap_s` is without one: what needs longer than that to leave the tolerance and to come back
+    has been seen.
+
+    Args:
+        readings: oldest first; those well before or after the window are ignored.
+        target: the pose asked for.
+        start_s: the earliest moment the shutter may have opened.
+        end_s: the latest moment it may have closed.
+        max_gap_s: longest silence that still proves something.
+    """
+    ordered = list(readings)
+    before = [r for r in ordered if start_s - max_gap_s <= r.time_s <= start_s][-1:]
+    judged = before + [r for r in ordered if start_s < r.time_s <= end_s]
+    usable = np.array([r.rotation for r in judged if r.rotation is not None]).reshape(-1, 3, 3)
+    errors = pose_error(target.pitch_deg, target.yaw_deg, usable) if len(usable) else None
+    code = reason = ""
+    if len(usable) < len(judged):
+        code, reason = "no_samples", next(r.problem for r in judged if r.rotation is None)
+    elif errors is not None and not bool(np.all(errors.within(target.tolerance))):
+        code, reason = "pointing", describe_error(errors, target.tolerance)
+    elif not before:
+        code, reason = "no_samples", f"no attitude sample in the {max_gap_s:g} s before the exposure"
+    else:
+        times = [start_s, *(r.time_s for r in judged[1:]), end_s]
+        gap = max(b - a for a, b in itertools.pairwise(times))
+        if gap > max_gap_s:
+            code = "no_samples"
+            reason = f"no attitude sample for {gap:.2f} s of the exposure (at most {max_gap_s:g} s)"
+    return WindowVerdict(
+        ok=not reason,
+        reason=reason,
+        code=code,
+        samples=len(judged),
+        measured=mean_pose(usable) if len(usable) else None,
+        errors=worst_errors(errors) if errors is not None else None,
+        spread_deg=float(np.max(angle_between(usable[0, :, 0], usable[:, :, 0]))) if len(usable) else math.nan,
+    )
+
+
+def worst_errors(errors: PoseError) -> AxisErrors:
+    """The largest of each error by magnitude, with its sign."""
+
+    def worst(values: FloatArray) -> float:
+        flat = np.atleast_1d(values)
+        return float(flat[int(np.argmax(np.abs(flat)))])
+
+    return AxisErrors(
+        pitch_deg=worst(errors.pitch_deg),
+        roll_deg=worst(errors.roll_deg),
+        yaw_deg=worst(errors.yaw_deg),
+        across_deg=worst(errors.across_deg),
+        along_deg=worst(errors.along_deg),
+        rotation_deg=worst(errors.rotation_deg),
+        boresight_deg=worst(errors.boresight_deg),
+    )
+
+
+def describe_error(errors: PoseError, tolerance: Tolerance) -> str:
+    """The axes that are out of tolerance, worst first: `yaw off by +1.30° (at most 0.667°)`."""
+    worst = worst_errors(errors)
+    axes = [
+        ("pitch", worst.pitch_deg, tolerance.pitch_deg),
+        ("roll", worst.roll_deg, tolerance.roll_deg),
+        ("yaw", worst.yaw_deg, tolerance.yaw_deg),
+    ]
+    out = [axis for axis in axes if not abs(axis[1]) <= axis[2]]
+    out.sort(key=lambda axis: abs(axis[1]) - axis[2], reverse=True)
+    return ", ".join(f"{name} off by {value:+.3g}° (at most {limit:g}°)" for name, value, limit in out)

@@ -1,0 +1,1 @@
+"""Published and brute-force methods that the planner is compared with."""

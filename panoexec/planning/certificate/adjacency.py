@@ -1,0 +1,166 @@
+"""Who overlaps whom: neighbours in a row, partners in the next row, and the graph of images (C4).
+
+The graph of C4 has an edge where two images see at least 5 % of each other, both ways, whatever the errors. Every graph
+that some combination of errors makes has these edges and perhaps more; more edges never disconnect a graph nor make
+another edge a bridge. So what holds for this graph holds for all of them.
+
+**Small plans.** A single image has no edge to lose: connected, and stays so. Two images have one edge, whose loss
+disconnects them: by the contract's words they are not certified, nor is a chain of images that overlap their
+immediate neighbours alone, as in a single row of a sector. Three images that all overlap are the least that is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panoexec.angles import FloatArray, yaw_pitch_roll
+from panoexec.planning.geometry.domain import Domain
+from panoexec.planning.model import Band
+
+MUTUAL_OVERLAP = 0.05
+"""Least overlap, both ways, that makes an edge of the graph."""
+
+IntArray = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rows:
+    """Images by row.
+
+    Attributes:
+        members: for each row number in ascending order, its images' indices, clockwise from the sector's start.
+        row_of: (n,) position in `members` of each image's row.
+    """
+
+    members: tuple[IntArray, ...]
+    row_of: IntArray
+
+    @staticmethod
+    def of(rows: Sequence[int], rotations: FloatArray, band: Band) -> Rows:
+        """Sort images by row number and yaw."""
+        numbers, row_of = np.unique(np.asarray(rows, dtype=np.int64), return_inverse=True)
+        yaw, _, _ = yaw_pitch_roll(rotations)
+        # a sector is cut open opposite its middle, the full circle anywhere
+        opposite = (band.azimuth_min_deg + band.azimuth_max_deg) / 2 - 180.0
+        clockwise = (yaw - opposite) % 360.0
+        order = np.lexsort((clockwise, row_of))
+        limits = np.searchsorted(row_of[order], np.arange(1, len(numbers)))
+        return Rows(members=tuple(np.split(order, limits)) if len(order) else (), row_of=row_of.reshape(-1))
+
+    def neighbours(self, closed: bool) -> tuple[IntArray, IntArray]:
+        """Pairs that follow each other in a row; with `closed` the last and the first of each row, too."""
+        firsts, seconds = [np.empty(0, dtype=np.intp)], [np.empty(0, dtype=np.intp)]
+        for row in self.members:
+            count = len(row) if closed and len(row) > 2 else len(row) - 1
+            firsts.append(row[:count])
+            seconds.append(np.roll(row, -1)[:count])
+        return np.concatenate(firsts), np.concatenate(seconds)
+
+    def partners(self, first: IntArray, second: IntArray, step: int) -> tuple[IntArray, IntArray, NDArray[np.bool_]]:
+        """For each image that has a row `step` (±1) further, those images of it that could meet it.
+
+        Args:
+            first: of all ordered pairs of images that could meet, sorted by the first.
+            second: likewise.
+            step: +1 for the next row, -1 for the previous.
+
+        Returns:
+            Images (k,), partners (k, m), and which partners are there (k, m); m ≥ 1.
+        """
+        target = self.row_of + step
+        images = np.nonzero((target >= 0) & (target < len(self.members)))[0]
+        chosen = self.row_of[second] == target[first]
+        own, other = first[chosen], second[chosen]
+        position = np.full(len(self.row_of), -1)
+        position[images] = np.arange(len(images))
+        line = position[own]
+        counts = np.bincount(line, minlength=len(images))
+        slot = np.arange(len(line)) - (np.cumsum(counts) - counts)[line]
+        partners = np.zeros((len(images), max(int(counts.max(initial=0)), 1)), dtype=np.intp)
+        present = np.zeros(partners.shape, dtype=bool)
+        partners[line, slot], present[line, slot] = other, True
+        return images, partners, present
+
+
+def apart_by_mask(domain: Domain, pitch_deg: float, from_deg: float, to_deg: float) -> bool:
+    """Whether there is nothing to cover on the parallel of a row between two azimuths, clockwise."""
+    row = int(np.searchsorted(domain.elevations_deg, pitch_deg, side="right")) - 1
+    cells = domain.inside[min(max(row, 0), len(domain.inside) - 1)]
+    start = (from_deg - domain.azimuths_deg[0]) % 360.0
+    stop = start + (to_deg - from_deg) % 360.0
+    limits = domain.azimuths_deg - domain.azimuths_deg[0]
+    meets = ((limits[:-1] < stop) & (limits[1:] > start)) | ((limits[:-1] + 360 < stop) & (limits[1:] + 360 > start))
+    return not bool(np.any(cells & meets))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Connection:
+    """What holds a graph together."""
+
+    parts: int
+    bridges: tuple[tuple[int, int], ...]
+
+    @property
+    def connected(self) -> bool:
+        """Whether every image can be reached from every other."""
+        return self.parts <= 1
+
+    @property
+    def two_edge_connected(self) -> bool:
+        """Whether that holds after the loss of any one edge."""
+        return self.connected and not self.bridges
+
+
+def connection(count: int, first: IntArray, second: IntArray) -> Connection:
+    """Parts and bridges of an undirected graph (Tarjan 1974), without recursion.
+
+    Args:
+        count: number of nodes.
+        first: (k,) one end of each edge; an edge may be given once, in either order.
+        second: (k,) its other end.
+
+    Returns:
+        Number of connected parts, and the edges whose loss would add one, lower index first.
+    """
+    edge_ends = np.concatenate([first, second])
+    order = np.argsort(edge_ends, kind="stable")
+    begin = np.searchsorted(edge_ends[order], np.arange(count + 1)).tolist()
+    heads = np.concatenate([second, first])[order].tolist()
+    edges = (order % max(len(first), 1)).tolist()
+    reached, low = [-1] * count, [0] * count
+    upcoming = begin[:-1].copy()
+    bridges: list[tuple[int, int]] = []
+    clock = parts = 0
+    for root in range(count):
+        if reached[root] >= 0:
+            continue
+        parts += 1
+        reached[root] = low[root] = clock
+        clock += 1
+        path = [(root, -1)]
+        while path:
+            node, came_by = path[-1]
+            if upcoming[node] < begin[node + 1]:
+                slot = upcoming[node]
+                upcoming[node] += 1
+                head = heads[slot]
+                if edges[slot] == came_by:
+                    continue
+                if reached[head] >= 0:
+                    low[node] = min(low[node], reached[head])
+                    continue
+                reached[head] = low[head] = clock
+                clock += 1
+                path.append((head, edges[slot]))
+                continue
+            path.pop()
+            if path:
+                parent = path[-1][0]
+                low[parent] = min(low[parent], low[node])
+                if low[node] > reached[parent]:
+                    bridges.append((min(parent, node), max(parent, node)))
+    return Connection(parts=parts, bridges=tuple(sorted(bridges)))

@@ -1,0 +1,251 @@
+"""Robust cores: the part of an image that is in the picture whatever the pointing error within the tolerance.
+
+An image asked for at yaw ψ, roll ρ, pitch θ is taken at R(e) = Rz(ψ + e_yaw) · Rx(ρ + e_roll) · Ry(θ + e_pitch), the
+one error model of `planning.geometry.pose_error`, with each |e| within its tolerance. Its *core* is what it then sees
+for certain, K = { d : d · R(e) nₖ ≥ 0 for every e in the box and each edge normal nₖ }.
+
+**Errors that are independent from image to image** make coverage a question about cores alone: the union of the images
+covers a direction d for *every* combination of errors exactly when d is in some core. For if d is in no core, each
+image has an error of its own that loses d, and they may all happen at once; the converse is plain.
+
+**A convex polygon inside K.** As the inequality is linear in the matrix, it holds for all R(e) as soon as it holds for
+matrices whose convex hull contains them all. A rotation about one axis through [φ - t, φ + t] lies in the hull of its
+two extreme rotations and of the *apexes* of m equal parts: the rotation by each part's middle angle with the plane
+across the axis stretched by 1/cos(t/m). (Tangents at the ends of a part meet at its apex, so a part lies in the
+triangle of its ends and its apex; the point between two parts is the middle of their apexes, so only the outer ends are
+needed.) The product of the hulls of three factors lies in the hull of the products, as a product is linear in each
+factor. So K contains the convex polygon that the half-spaces of all products cut out: an inner bound whose loss is at
+most (t/m)²/2 radians for an axis, 0.004° for a yaw tolerance of 0.667°, and exact for a tolerance of 0.
+
+Corners that stick out by less than 1e-5 rad are then cut off, which only makes the polygon smaller.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from panoexec.angles import FloatArray, rotation, yaw_pitch_roll
+from panoexec.optics import Camera
+from panoexec.planning.geometry.footprint import edge_normals, rectangle
+from panoexec.planning.geometry.overlap import clip
+from panoexec.planning.model import Tolerance
+
+_PART_DEG = 0.7
+"""Widest half part of an axis's error range before it gets another apex."""
+
+_MOST_PARTS = 3
+
+_THIN = 1e-5
+"""Corners that stick out less than this, in the image plane (so at most as many radians), are cut off."""
+
+_SAME_DEG = 1e-9
+"""Attitudes that agree to this share a core (1.7e-11 rad, far below the certificate's margin)."""
+
+
+_AT_A_TIME = 1 << 20
+"""Pairs of a direction and a core looked at together: bounds the memory."""
+
+_REMEMBERED = 64
+"""Up to so many different attitudes each core is looked up among those computed before."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cores:
+    """Convex spherical polygons, one for each image, in the world frame.
+
+    Attributes:
+        vertices: (n, v, 3) unit vectors, clockwise as a viewer of the image sees them; a polygon with fewer than v
+            corners repeats its first one at the end. An empty core has all its corners at the boresight.
+        normals: (n, v, 3) unit inward normals of the planes through corner k and k + 1 (cyclic). In the padding they
+            repeat one of the polygon's own, so the half-spaces may be used without looking at the padding.
+        is_edge: (n, v) whether corner k and k + 1 span an edge; False in the padding and in empty cores.
+        centres: (n, 3) boresights.
+        radii: (n,) angle from the boresight to the farthest corner, radians; 0 where empty.
+        empty: (n,) whether nothing is sure to be seen.
+    """
+
+    vertices: FloatArray
+    normals: FloatArray
+    is_edge: NDArray[np.bool_]
+    centres: FloatArray
+    radii: FloatArray
+    empty: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.vertices)
+
+    def select(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> Cores:
+        """The cores of some images, by mask or index."""
+        return Cores(
+            vertices=self.vertices[which],
+            normals=self.normals[which],
+            is_edge=self.is_edge[which],
+            centres=self.centres[which],
+            radii=self.radii[which],
+            empty=self.empty[which],
+        )
+
+    def depth(self, directions: ArrayLike) -> FloatArray:
+        """How deep each direction lies in the core that holds it best.
+
+        Args:
+            directions: (m, 3) world unit vectors.
+
+        Returns:
+            (m,) sine of the angle to that core's nearest edge plane: ≥ 0 covered, negative not; -1 far from all cores.
+        """
+        points = np.asarray(directions, dtype=np.float64)
+        best = np.full(len(points), -1.0)
+        reach = np.where(self.empty, 2.0, np.cos(self.radii) - 1e-9)
+        step = max(1, _AT_A_TIME // max(len(self), 1))
+        for start in range(0, len(points), step):
+            near, core = np.nonzero(points[start : start + step] @ self.centres.T >= reach)
+            near += start
+            depth = np.einsum("kvc,kc->kv", self.normals[core], points[near]).min(axis=1, initial=1.0)
+            np.maximum.at(best, near, depth)
+        return best
+
+
+def robust_cores(camera: Camera, rotations: ArrayLike, tolerance: Tolerance) -> Cores:
+    """The robust cores of images.
+
+    Args:
+        camera: the camera.
+        rotations: camera-to-world rotations (n, 3, 3), asked for or measured, of any roll.
+        tolerance: errors of each axis about them.
+
+    Returns:
+        The cores; see the module's text for what they guarantee.
+    """
+    to_world = np.asarray(rotations, dtype=np.float64).reshape(-1, 3, 3)
+    n = len(to_world)
+    if tolerance.is_zero or n == 0:
+        polygons = np.broadcast_to(rectangle(camera), (n, 4, 2))
+        return _on_sphere(polygons, np.full(n, 4), to_world)
+    _, pitch, roll = yaw_pitch_roll(to_world)
+    attitudes = np.round(np.stack([pitch, roll], axis=1) / _SAME_DEG)
+    unique, which = np.unique(attitudes, axis=0, return_inverse=True)
+    pitch, roll = np.moveaxis(unique * _SAME_DEG, -1, 0)
+    if len(unique) <= _REMEMBERED:
+        polygons, counts = _padded(
+            [_core_polygon(camera, float(p), float(r), tolerance) for p, r in zip(pitch, roll, strict=True)]
+        )
+    else:
+        polygons, counts = _core_polygons(camera, pitch, roll, tolerance)
+    which = which.reshape(-1)
+    return _on_sphere(polygons[which], counts[which], to_world)
+
+
+@lru_cache(maxsize=4096)
+def _core_polygon(camera: Camera, pitch_deg: float, roll_deg: float, tolerance: Tolerance) -> FloatArray:
+    """One core in its image plane, (v, 2); a search asks for the same rows again and again."""
+    polygons, counts = _core_polygons(camera, np.array([pitch_deg]), np.array([roll_deg]), tolerance)
+    polygon = polygons[0, : counts[0]].copy()
+    polygon.setflags(write=False)
+    return polygon
+
+
+def _padded(polygons: list[FloatArray]) -> tuple[FloatArray, NDArray[np.intp]]:
+    counts = np.array([len(p) for p in polygons], dtype=np.intp)
+    out = np.zeros((len(polygons), max(int(counts.max(initial=0)), 3), 2))
+    for i, polygon in enumerate(polygons):
+        out[i, : len(polygon)] = polygon
+    return out, counts
+
+
+def _core_polygons(
+    camera: Camera, pitch_deg: FloatArray, roll_deg: FloatArray, tolerance: Tolerance
+) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Cores in the image planes of the attitudes without error: polygons (u, v, 2) and their corner counts (u,)."""
+    planes = core_half_planes(camera, pitch_deg, roll_deg, tolerance)
+    start = np.broadcast_to(rectangle(camera), (len(planes), 4, 2))
+    return _thinned(clip(start, planes))
+
+
+def core_half_planes(camera: Camera, pitch_deg: FloatArray, roll_deg: FloatArray, tolerance: Tolerance) -> FloatArray:
+    """The half-planes (u, k, 3) that cut the inner bounds of cores out of their image planes (see `overlap`)."""
+    nominal = rotation(0.0, pitch_deg, roll_deg)
+    hull = _axis_hull(2, np.zeros(1), tolerance.yaw_deg)[:, :, None, None]
+    hull = hull @ _axis_hull(0, roll_deg, tolerance.roll_deg)[:, None, :, None]
+    hull = hull @ _axis_hull(1, pitch_deg, tolerance.pitch_deg)[:, None, None, :]
+    relative = np.swapaxes(nominal, -1, -2)[:, None, None, None] @ hull
+    normals = edge_normals(camera) @ np.swapaxes(relative, -1, -2)
+    return np.asarray(normals.reshape(len(nominal), -1, 3))
+
+
+def _axis_hull(axis: int, angle_deg: FloatArray, tolerance_deg: float) -> FloatArray:
+    """Matrices (u, p, 3, 3) whose convex hull contains the rotations about an axis by every angle ± tolerance."""
+    if tolerance_deg == 0:
+        return _turn(axis, angle_deg)[:, None]
+    parts = max(min(_MOST_PARTS, math.ceil(tolerance_deg / _PART_DEG)), math.ceil(tolerance_deg / 60.0))
+    half = tolerance_deg / parts
+    middles = -tolerance_deg + half * (1 + 2 * np.arange(parts))
+    stretch = np.full(3, 1 / math.cos(math.radians(half)))
+    stretch[axis] = 1.0
+    ends = _turn(axis, angle_deg[:, None] + np.array([-tolerance_deg, tolerance_deg]))
+    apexes = _turn(axis, angle_deg[:, None] + middles) * stretch
+    return np.concatenate([ends, apexes], axis=1)
+
+
+def _turn(axis: int, angle_deg: FloatArray) -> FloatArray:
+    if axis == 0:
+        return rotation(0.0, 0.0, angle_deg)
+    return rotation(0.0, angle_deg) if axis == 1 else rotation(angle_deg, 0.0)
+
+
+def _thinned(polygons: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Polygons (u, v, 2) without corners that hardly stick out, and their corner counts (u,), 0 for an empty one."""
+    u, v = polygons.shape[:2]
+    following = polygons[:, np.arange(1 - v, 1)]
+    # the padding repeats the first corner, as may rounding in the clipping: keep the first of equal neighbours
+    keep = np.any(polygons != following, axis=2) & ~np.isnan(polygons[:, :, 0])
+    while True:
+        order = np.argsort(~keep, axis=1, kind="stable")
+        polygons = np.take_along_axis(polygons, order[..., None], axis=1)
+        counts = keep.sum(axis=1)
+        column = np.arange(v)
+        inside = column < counts[:, None]
+        before = np.where(column == 0, counts[:, None] - 1, column - 1)
+        after = np.where(column + 1 >= counts[:, None], 0, column + 1)
+        corner_before = np.take_along_axis(polygons, np.clip(before, 0, v - 1)[..., None], axis=1)
+        corner_after = np.take_along_axis(polygons, after[..., None], axis=1)
+        chord, arm = corner_after - corner_before, polygons - corner_before
+        twice_area = np.abs(chord[..., 0] * arm[..., 1] - chord[..., 1] * arm[..., 0])
+        sticks_out = np.where(inside, twice_area / np.maximum(np.hypot(chord[..., 0], chord[..., 1]), 1e-300), np.inf)
+        worst = np.argmin(np.nan_to_num(sticks_out, nan=0.0), axis=1)
+        drop = (sticks_out[np.arange(u), worst] < _THIN) & (counts >= 3)
+        if not drop.any():
+            width = max(int(counts.max(initial=0)), 3)
+            return polygons[:, :width], np.where(counts >= 3, counts, 0)
+        keep = inside
+        keep[np.nonzero(drop)[0], worst[drop]] = False
+
+
+def _on_sphere(polygons: FloatArray, counts: NDArray[np.intp], to_world: FloatArray) -> Cores:
+    """Cores from image-plane polygons (n, v, 2) with `counts` corners each (0: empty)."""
+    n, v = polygons.shape[:2]
+    empty = counts < 3
+    column = np.arange(v)
+    is_edge = column < counts[:, None]
+    corners = np.where(is_edge[..., None], polygons, np.where(empty[:, None, None], 0.0, polygons[:, :1]))
+    rays = np.concatenate([np.ones((n, v, 1)), corners], axis=2)
+    following = np.where(column + 1 >= counts[:, None], 0, column + 1)
+    normals = np.cross(rays, np.take_along_axis(rays, following[..., None], axis=1))
+    normals = np.where(is_edge[..., None], normals, normals[:, :1])
+    length = np.linalg.norm(normals, axis=2, keepdims=True)
+    normals = normals / np.where(length > 0, length, 1.0)
+    rays = rays / np.linalg.norm(rays, axis=2, keepdims=True)
+    turned = np.swapaxes(to_world, -1, -2)
+    return Cores(
+        vertices=rays @ turned,
+        normals=normals @ turned,
+        is_edge=is_edge & ~empty[:, None],
+        centres=to_world[:, :, 0],
+        radii=np.arccos(np.clip(rays[:, :, 0].min(axis=1, initial=1.0), -1.0, 1.0)),
+        empty=empty,
+    )

@@ -1,0 +1,215 @@
+"""Lower bounds of overlaps over all pointing errors, of pairs and of an image with the union of others.
+
+Setting: in the image plane of A (directions d = (1, y, z), |d| ≤ L on the image) B's edge k is the half-plane
+mₖ(e)·d ≥ 0, mₖ(e) = R_A(e_A)ᵀ R_B(e_B) nₖ, where the errors e of both are in the box of the tolerance (six axes).
+
+**Corners.** Let m̃ₖ be the multilinear interpolation of mₖ between the corners of the box. About one axis mₖ moves on a
+circle of radius ≤ 1, so |mₖ - m̃ₖ| ≤ r with r the sum over the six axes of τ²/2. Hence a point with m̃ₖ(e)·d ≥ r·L is
+seen for sure; put p̃ₖ for m̃ₖ less r·L in its first component.
+
+**Losses.** Let M be any part of A. B sees of it at least area(M) - Σₖ cutₖ(e), cutₖ = area of M where p̃ₖ(e)·d < 0.
+Take coordinates u along B's edge k, v across it, v ≥ 0 on M. There p̃ₖ·d = α + β·u + γ·v, with α, β, γ interpolated
+between the corners' values, too. If all corners have γ ≥ g > 0 then cutₖ ≤ ∫ max(0, -(α + β·u)/g - M's lower border at
+u) du. This bound is convex in (α, β), so its sum over k is largest at a corner of the box, and area(M) less the largest
+sum over the 64 corners bounds the overlap from below. With M = what B sees without error, the bound falls short of the
+true minimum only in the second order of the tolerances (r, and where two cuts meet) and by what B gains elsewhere.
+
+**Unions.** For several B with errors of their own take for each a part M_B of what it sees of A: those directions that
+are nearer to its boresight than to the others', so that no two parts share a point. Their areas add up; the worst
+errors of each B are chosen for each corner of A's errors, and then the worst corner of A's.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panoexec.angles import FloatArray, rotation, yaw_pitch_roll
+from panoexec.optics import Camera
+from panoexec.planning.geometry.footprint import edge_normals, rectangle
+from panoexec.planning.geometry.overlap import clip, half_planes, polygon_area
+from panoexec.planning.model import Tolerance
+
+_AT_A_TIME = 4096
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ErrorCorners:
+    """Images under the extreme errors of a tolerance.
+
+    Attributes:
+        camera: the camera.
+        rotations: (n, 3, 3) without error.
+        extreme: (n, c, 3, 3) at the c corners of the box of errors; c is 1, 2, 4 or 8 as axes have a tolerance.
+        tolerance: the box.
+    """
+
+    camera: Camera
+    rotations: FloatArray
+    extreme: FloatArray
+    tolerance: Tolerance
+
+    @staticmethod
+    def of(camera: Camera, rotations: FloatArray, tolerance: Tolerance) -> ErrorCorners:
+        """The corners of images' error boxes."""
+        yaw, pitch, roll = yaw_pitch_roll(rotations)
+        taus = (tolerance.yaw_deg, tolerance.pitch_deg, tolerance.roll_deg)
+        signs = np.array(list(itertools.product(*((-t, t) if t else (0.0,) for t in taus))))
+        extreme = rotation(yaw[:, None] + signs[:, 0], pitch[:, None] + signs[:, 1], roll[:, None] + signs[:, 2])
+        return ErrorCorners(camera=camera, rotations=rotations, extreme=extreme, tolerance=tolerance)
+
+    @property
+    def remainder(self) -> float:
+        """The bound r·L of the module's text."""
+        reach = math.sqrt(1 + self.camera.half_width**2 + self.camera.half_height**2)
+        t = self.tolerance
+        return reach * sum(math.radians(a) ** 2 for a in (t.pitch_deg, t.roll_deg, t.yaw_deg))
+
+    @property
+    def first_order(self) -> float:
+        """No edge normal moves farther than this, as seen from the other image."""
+        t = self.tolerance
+        return 2 * math.radians(t.pitch_deg + t.roll_deg + t.yaw_deg)
+
+
+def worst_pair_overlaps(corners: ErrorCorners, first: NDArray[np.intp], second: NDArray[np.intp]) -> FloatArray:
+    """Lower bounds (p,) of the fraction of each first image that the second one sees, whatever the errors."""
+    whole = 4 * corners.camera.half_width * corners.camera.half_height
+    out = np.empty(len(first))
+    for start in range(0, len(first), _AT_A_TIME):
+        a, b = first[start : start + _AT_A_TIME], second[start : start + _AT_A_TIME]
+        planes = half_planes(corners.rotations[a], corners.rotations[b], corners.camera)
+        seen = _clipped(corners.camera, planes)
+        losses = _losses(corners, a, b, planes, seen)
+        out[start : start + _AT_A_TIME] = (polygon_area(seen) - losses.max(axis=(1, 2), initial=0.0)) / whole
+    return np.clip(out, 0.0, 1.0)
+
+
+def surely_overlap(
+    corners: ErrorCorners, first: NDArray[np.intp], second: NDArray[np.intp], least: float
+) -> NDArray[np.bool_]:
+    """Which first images (p,) share more than a fraction with the second, by a bound that is rough but quick.
+
+    Each edge of B moves by no more than `ErrorCorners.first_order`, so it takes from what B sees of A at most a strip
+    of that width along the whole part.
+    """
+    planes = half_planes(corners.rotations[first], corners.rotations[second], corners.camera)
+    seen = _clipped(corners.camera, planes)
+    length = np.maximum(np.hypot(planes[..., 1], planes[..., 2]), 1e-12)
+    reach = math.sqrt(1 + corners.camera.half_width**2 + corners.camera.half_height**2)
+    strip = corners.first_order * reach / length
+    y, z = seen[:, None, :, 0], seen[:, None, :, 1]
+    along = (planes[..., 2:] * y - planes[..., 1:2] * z) / length[..., None]
+    inside = (planes[..., :1] + planes[..., 1:2] * y + planes[..., 2:] * z) / length[..., None]
+    lost = np.where(inside.min(axis=2) < strip, strip * (along.max(axis=2) - along.min(axis=2)), 0.0).sum(axis=1)
+    whole = 4 * corners.camera.half_width * corners.camera.half_height
+    return np.asarray(polygon_area(seen) - lost >= least * whole)  # false for an empty part, where `lost` is NaN
+
+
+def worst_union_overlaps(
+    corners: ErrorCorners, images: NDArray[np.intp], partners: NDArray[np.intp], present: NDArray[np.bool_]
+) -> FloatArray:
+    """Lower bounds of the fraction of images that at least one of their partners sees, whatever the errors.
+
+    Args:
+        corners: of all images.
+        images: (k,) indices.
+        partners: (k, m) indices of the others.
+        present: (k, m), False where a partner is only padding.
+
+    Returns:
+        (k,), in [0, 1].
+    """
+    row, column = np.nonzero(present)
+    a, b = images[row], partners[row, column]
+    own = half_planes(corners.rotations[a], corners.rotations[b], corners.camera)
+    boresights = corners.rotations[:, :, 0]
+    nearer = (boresights[b][:, None] - boresights[partners[row]]) @ corners.rotations[a]
+    nearer = np.where(present[row][..., None], nearer, np.array([1.0, 0.0, 0.0]))
+    parts = _clipped(corners.camera, np.concatenate([own, nearer], axis=1))
+    # the image itself in `nearer` is a zero row: 0 ≥ 0 keeps everything
+    losses = np.concatenate(
+        [
+            _losses(corners, a[s], b[s], own[s], parts[s]).max(axis=2, initial=0.0)
+            for s in (slice(i, i + _AT_A_TIME) for i in range(0, max(len(a), 1), _AT_A_TIME))
+        ]
+    )
+    area = np.bincount(row, polygon_area(parts), len(images))
+    loss = np.zeros((len(images), losses.shape[1]))
+    np.add.at(loss, row, losses)
+    whole = 4 * corners.camera.half_width * corners.camera.half_height
+    return np.asarray(np.clip((area - loss.max(axis=1, initial=0.0)) / whole, 0.0, 1.0))
+
+
+def _clipped(camera: Camera, planes: FloatArray) -> FloatArray:
+    return clip(np.broadcast_to(rectangle(camera), (len(planes), 4, 2)), planes)
+
+
+def _losses(
+    corners: ErrorCorners, a: NDArray[np.intp], b: NDArray[np.intp], planes: FloatArray, parts: FloatArray
+) -> FloatArray:
+    """Bounds (p, c, c) of what errors at each corner of A's and of B's box cut from parts (p, v, 2) of A."""
+    c = corners.extreme.shape[1]
+    losses = np.zeros((len(a), c, c))
+    if corners.tolerance.is_zero or not len(a):
+        return losses
+    # which edges can cut at all: those that some corner of M is nearer to than any error can move them
+    y, z = parts[..., 0], parts[..., 1]
+    inside = planes[:, :, :1] + planes[:, :, 1:2] * y[:, None] + planes[:, :, 2:] * z[:, None]
+    reach = corners.first_order * np.sqrt(1 + y * y + z * z)
+    pair, edge = np.nonzero(np.any(inside < reach[:, None], axis=2))  # never true for an empty part, which is NaN
+    normals = edge_normals(corners.camera)[edge]
+    world = np.squeeze(corners.extreme[b[pair]] @ normals[:, None, :, None], axis=3)
+    moved = world[:, None] @ corners.extreme[a[pair]]
+    moved[..., 0] -= corners.remainder
+    np.add.at(losses, pair, _cuts(parts[pair], planes[pair, edge], moved))
+    return losses
+
+
+def _cuts(parts: FloatArray, baselines: FloatArray, moved: FloatArray) -> FloatArray:
+    """Areas that half-planes cut from parts, bounded as the module's text says.
+
+    Args:
+        parts: (q, v, 2), in the order in which `footprint.rectangle` runs.
+        baselines: (q, 3) the half-planes without error.
+        moved: (q, c, c, 3) those at the corners of the error boxes.
+
+    Returns:
+        (q, c, c); infinite where an edge turns so far that the bound does not hold.
+    """
+    length = np.hypot(baselines[:, 1], baselines[:, 2])
+    across = baselines[:, 1:] / np.maximum(length, 1e-300)[:, None]
+    along = np.stack([across[:, 1], -across[:, 0]], axis=1)
+    u = np.einsum("qvi,qi->qv", parts, along)
+    v = np.einsum("qvi,qi->qv", parts, across)
+    lowest = v.min(axis=1)
+    gamma = np.einsum("qabi,qi->qab", moved[..., 1:], across)
+    least = gamma.min(axis=(1, 2), initial=np.inf)
+    usable = (least > 1e-6) & (length > 1e-6)
+    scale = -1 / np.where(usable, least, 1.0)[:, None, None]
+    alpha = (moved[..., 0] + lowest[:, None, None] * gamma) * scale
+    beta = np.einsum("qabi,qi->qab", moved[..., 1:], along) * scale
+    # the lower border of a part runs with u, the upper one against it
+    following = np.arange(1 - parts.shape[1], 1)
+    width = u[:, following] - u
+    q, side = np.nonzero(width > 0)
+    start, end = (
+        alpha[q] + beta[q] * u[q, k][:, None, None] - (v[q, k] - lowest[q])[:, None, None]
+        for k in (side, (side + 1) % parts.shape[1])
+    )
+    pieces = _positive_mean(start, end) * width[q, side][:, None, None]
+    cut = np.zeros(gamma.shape)
+    np.add.at(cut, q, pieces)
+    return np.where(usable[:, None, None], cut, np.inf)
+
+
+def _positive_mean(a: FloatArray, b: FloatArray) -> FloatArray:
+    """The mean of max(0, f) for f linear from a to b."""
+    high, low = np.maximum(np.maximum(a, b), 0.0), np.minimum(a, b)
+    crossing = low < 0
+    share = np.where(crossing, high / np.maximum(high - low, 1e-300), 1.0)
+    return np.asarray(np.where(crossing, high * share, high + low) / 2)

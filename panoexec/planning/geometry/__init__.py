@@ -1,0 +1,1 @@
+"""Geometry of images on the sphere: footprints, overlap, the band's domain, pointing errors."""

@@ -1,0 +1,1 @@
+"""The order of shooting, how the vehicle yaws in it, and how long it takes."""

@@ -1,0 +1,1 @@
+"""The certified planner: rows of images, searched for the fewest that the certificate accepts."""

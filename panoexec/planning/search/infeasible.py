@@ -1,0 +1,218 @@
+"""Why nothing can be planned: which constraint stands in the way, and by how much."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from panoexec.angles import rotation
+from panoexec.errors import PlanningError
+from panoexec.optics import Camera
+from panoexec.planning.certificate.adjacency import MUTUAL_OVERLAP
+from panoexec.planning.certificate.robust_footprint import robust_cores
+from panoexec.planning.geometry.domain import Domain
+from panoexec.planning.model import NO_TOLERANCE, Constraints, GimbalLimits, Tolerance
+from panoexec.planning.search.row_constraints import Demands, RowRules
+from panoexec.planning.search.row_search import RowSearch
+from panoexec.planning.search.row_spacing import MOST_IN_A_ROW, NeighbourDemand
+from panoexec.planning.search.variants import worst_loss
+
+_PITCHES_DEG = (0.0, -30.0, -60.0, -90.0)
+_COUNTS_TRIED = 12
+_STEPS = 40
+
+_BISECTIONS = 5
+_MOST_SEEN = 100
+"""A direction that more images than this see is no panorama's need, and pairs of images grow with its square."""
+
+_WIDTH = 4
+"""Of searches that only have to tell whether there is a way at all."""
+
+
+def refusal(camera: Camera, constraints: Constraints) -> PlanningError:
+    """The error that says why no plan was found."""
+    return PlanningError(
+        tolerance_eats_image(camera, constraints)
+        or _gimbal(camera, constraints)
+        or _overlap(camera, constraints)
+        or _tolerance(camera, constraints)
+        or "no rows of images were found that close the band: ask for a smaller tolerance or a smaller band"
+    )
+
+
+def nothing_to_cover(constraints: Constraints) -> str | None:
+    """Why there is nothing to plan; None if there is something to cover."""
+    if not constraints.masks:
+        return None
+    if len(Domain.of(constraints.band, constraints.masks).cell_centres()):
+        return None
+    return "the masks leave nothing of the band to cover: ask for a larger band or smaller masks"
+
+
+def too_dense(camera: Camera, constraints: Constraints) -> str | None:
+    """Why the overlaps ask for more images than anybody takes; None if they do not."""
+    exact = NeighbourDemand(planned=constraints.overlap_h, worst=0.0, tolerance=NO_TOLERANCE)
+    finest = np.array([360.0 / MOST_IN_A_ROW])
+    # at the pitch of the band that is nearest to the horizon neighbours are closest
+    band = constraints.band
+    flattest = 0.0 if band.elevation_min_deg <= 0 <= band.elevation_max_deg else 45.0
+    if exact.surplus(camera, np.array([flattest]), finest)[0] < 0:
+        return (
+            f"horizontal overlap {constraints.overlap_h:g} takes more than {MOST_IN_A_ROW} images in one row: "
+            "ask for less overlap"
+        )
+    seen = 1 / ((1 - constraints.overlap_h) * (1 - constraints.overlap_v))
+    if seen > _MOST_SEEN * (1 + 1e-9):
+        return (
+            f"overlaps of {constraints.overlap_h:g} in rows and {constraints.overlap_v:g} between them show each "
+            f"direction in about {seen:.0f} images, {seen - _MOST_SEEN:.0f} more than panoexec plans: ask for less"
+        )
+    step = camera.vfov_deg / 2 + math.degrees(math.atan(camera.half_height * (1 - 2 * constraints.overlap_v)))
+    rows = (band.elevation_max_deg - band.elevation_min_deg) / max(step, 1e-12)
+    if rows > MOST_IN_A_ROW:
+        return f"vertical overlap {constraints.overlap_v:g} takes more than {MOST_IN_A_ROW} rows: ask for less overlap"
+    return None
+
+
+def tolerance_eats_image(camera: Camera, constraints: Constraints) -> str | None:
+    """Why no image is sure to see anything; None if some are."""
+    t = constraints.tolerance
+    cores = robust_cores(camera, rotation(0.0, np.array(_PITCHES_DEG)), t)
+    if not cores.empty.all():
+        return None
+    return (
+        f"tolerances of {_text(t)} leave nothing that an image of {_size(camera)} is sure to see: "
+        f"pitch must stay below {camera.vfov_deg / 2:.3g}°, roll and yaw well below {camera.hfov_deg / 2:.3g}°"
+    )
+
+
+def _gimbal(camera: Camera, constraints: Constraints) -> str | None:
+    gimbal = constraints.gimbal
+    if gimbal is None or not _feasible(camera, replace(constraints, gimbal=None)):
+        return None
+    all_round = replace(gimbal, yaw_min_deg=-180.0, yaw_max_deg=180.0)
+    if not _feasible(camera, replace(constraints, gimbal=all_round)):
+        return _pitch_limits(camera, replace(constraints, gimbal=all_round), gimbal)
+    rules = _rules(camera, constraints)
+    layout = rules.layout
+    pan = f"the gimbal pans from {gimbal.yaw_min_deg:g} to {gimbal.yaw_max_deg:g}°"
+    if not layout.reachable:
+        return f"{pan}: none of the azimuths asked for is within it"
+    if layout.blind_deg == 0:
+        return f"{pan}: images of {camera.hfov_deg:.3g}° do not reach the ends of the azimuths asked for from there"
+    widest = float(rules.widest(np.zeros(1))[0])
+    return (
+        f"{pan}, so neighbours must bridge {layout.blind_deg:.4g}°, but with an overlap of "
+        f"{constraints.overlap_h:.0%} images at the horizon may be at most {widest:.4g}° apart "
+        f"({layout.blind_deg - widest:.3g}° too much): ask for an azimuth sector within the pan "
+        "range, or let the vehicle pan the rest (yaw: auto)"
+    )
+
+
+def _pitch_limits(camera: Camera, constraints: Constraints, gimbal: GimbalLimits) -> str:
+    band = constraints.band
+    lowest = _lowest_reach_deg(_rules(camera, constraints))
+    if lowest > band.elevation_min_deg:
+        return (
+            f"elevation {band.elevation_min_deg:g}° cannot be covered: with the gimbal's lowest pitch "
+            f"{gimbal.pitch_min_deg:g}° images reach down to {lowest:.2f}° all round, "
+            f"{lowest - band.elevation_min_deg:.2f}° short"
+        )
+    highest = RowSearch(_rules(camera, constraints)).highest_reach_deg()
+    return (
+        f"elevation {band.elevation_max_deg:g}° cannot be covered: with the gimbal's highest pitch "
+        f"{gimbal.pitch_max_deg:g}° images reach up to {highest:.2f}° all round, "
+        f"{max(band.elevation_max_deg - highest, 0.0):.2f}° short"
+    )
+
+
+def _lowest_reach_deg(rules: RowRules) -> float:
+    """Down to which elevation rows cover all round, 90 where no row closes."""
+    pitch = np.linspace(rules.pitch_deg[0], min(rules.pitch_deg[1], rules.pitch_deg[0] + rules.camera.vfov_deg), _STEPS)
+    lowest = 90.0
+    for more in range(_COUNTS_TRIED):
+        counts = rules.fewest(pitch) + more
+        low, high = rules.band(pitch, counts)
+        closes = (low < high) & rules.allowed(pitch, counts)
+        lowest = min(lowest, float(low[closes].min(initial=90.0)))
+    return lowest
+
+
+def _overlap(camera: Camera, constraints: Constraints) -> str | None:
+    """Overlaps that cannot be had with the tolerances, or for which more images are needed than anybody takes."""
+    easy = replace(constraints, gimbal=None, overlap_h=0.0, overlap_v=0.0, guarantee="coverage")
+    if not _feasible(camera, easy):
+        return None
+    errors = " whatever the pointing errors" if constraints.guarantee == "all" else ""
+    for name, value, changed in (
+        ("horizontal", constraints.overlap_h, replace(constraints, gimbal=None, overlap_h=0.0)),
+        ("vertical", constraints.overlap_v, replace(constraints, gimbal=None, overlap_v=0.0)),
+        ("", 0.0, easy),
+    ):
+        if not _feasible(camera, changed):
+            continue
+        if not name:
+            break
+        most = _most_overlap(camera, constraints, name)
+        return (
+            f"a {name} overlap of {value:.3g}{errors} cannot be had with these tolerances: "
+            f"at most about {most:.2g} can, {value - most:.2g} less"
+        )
+    return f"overlaps of {constraints.overlap_h:g} and {constraints.overlap_v:g}{errors} cannot both be had"
+
+
+def _most_overlap(camera: Camera, constraints: Constraints, name: str) -> float:
+    low, high = 0.0, constraints.overlap_h if name == "horizontal" else constraints.overlap_v
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        changed = (
+            replace(constraints, gimbal=None, overlap_h=middle)
+            if name == "horizontal"
+            else replace(constraints, gimbal=None, overlap_v=middle)
+        )
+        low, high = (middle, high) if _feasible(camera, changed) else (low, middle)
+    return low
+
+
+def _tolerance(camera: Camera, constraints: Constraints) -> str | None:
+    exact = replace(constraints.tolerance, pitch_deg=0.0, roll_deg=0.0, yaw_deg=0.0)
+    if not _feasible(camera, replace(constraints, tolerance=exact)):
+        return None
+    t = constraints.tolerance
+    low, high = 0.0, 1.0
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        less = replace(t, pitch_deg=t.pitch_deg * middle, roll_deg=t.roll_deg * middle, yaw_deg=t.yaw_deg * middle)
+        feasible = _feasible(camera, replace(constraints, tolerance=less))
+        low, high = (middle, high) if feasible else (low, middle)
+    return (
+        f"with tolerances of {_text(t)} no rows of images of {_size(camera)} are sure to "
+        f"close the band: about {low:.0%} of these tolerances would do"
+    )
+
+
+def _text(tolerance: Tolerance) -> str:
+    return f"{tolerance.pitch_deg:g}° (pitch), {tolerance.roll_deg:g}° (roll) and {tolerance.yaw_deg:g}° (yaw)"
+
+
+def _size(camera: Camera) -> str:
+    return f"{camera.hfov_deg:.3g}° x {camera.vfov_deg:.3g}°"
+
+
+def _feasible(camera: Camera, constraints: Constraints) -> bool:
+    return bool(RowSearch(_rules(camera, constraints), width=_WIDTH).ways(patient=False))
+
+
+def _rules(camera: Camera, constraints: Constraints) -> RowRules:
+    every = constraints.guarantee == "all"
+    neighbours = NeighbourDemand(
+        planned=constraints.overlap_h,
+        worst=max(constraints.overlap_h if every else 0.0, MUTUAL_OVERLAP),
+        tolerance=constraints.tolerance,
+    )
+    demands = Demands(
+        neighbours=neighbours, planned_v=constraints.overlap_v, worst_v=constraints.overlap_v if every else 0.0
+    )
+    return RowRules(camera, constraints, demands, worst_loss(camera, constraints) if every else None)

@@ -1,0 +1,87 @@
+"""Fewest images that any plan could have, by solid angle: a figure to hold plans against.
+
+Let N images cover the part D of the sphere. Two bounds, of which the larger one counts:
+
+* **Certain cover.** An image's robust core (what it sees whatever the errors) lies within the image turned by the pitch
+  axis's errors ±τ, and what both extremes see is at most as high as tan(ψ_v/2 - τ). So D takes at least as many images
+  as its solid angle holds such lower images.
+* **Shared parts.** With more than one image, C2 or C3 makes every image share at least the fraction f = min(overlap_h,
+  overlap_v) of its area with others (two images in a row with each other; else with the next row). That part has at
+  least the solid angle s that the image's outermost fraction f has. A direction that m ≥ 2 images see is counted m
+  times in the sum of their solid angles Ω, so m - 1 ≥ m/2 times too often: N·Ω ≥ D + N·s/2.
+
+Masks are taken off D, each with all of its solid angle inside the band, so overlapping masks only lower the bound.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from panoexec.optics import Camera
+from panoexec.planning.certificate.adjacency import MUTUAL_OVERLAP
+from panoexec.planning.model import AngleBox, Band, Constraints
+
+_RAYS = 400
+
+
+def least_images(camera: Camera, constraints: Constraints) -> int:
+    """No plan for these constraints can have fewer images."""
+    domain = domain_sr(constraints)
+    core = _pyramid_sr(camera.half_width, _lowered(camera, constraints.tolerance.pitch_deg))
+    certain = math.ceil(domain / core - 1e-9) if core > 0 else 1
+    if certain <= 1 and domain <= camera.solid_angle_sr:
+        return 1
+    least_overlap = min(constraints.overlap_h, constraints.overlap_v)
+    if constraints.masks:
+        # neighbours with only a mask between them need not overlap, but then C4 wants some other to
+        least_overlap = min(least_overlap, MUTUAL_OVERLAP)
+    shared = _outermost_sr(camera, least_overlap)
+    return max(certain, math.ceil(domain / (camera.solid_angle_sr - shared / 2) - 1e-9), 1)
+
+
+def domain_sr(constraints: Constraints) -> float:
+    """At most the solid angle of what needs cover; never more than it has."""
+    band = constraints.band
+    whole = _box_sr(band)
+    masked = sum(_common_sr(band, mask) for mask in constraints.masks)
+    return max(whole - masked, 0.0)
+
+
+def _lowered(camera: Camera, pitch_tolerance_deg: float) -> float:
+    left = math.atan(camera.half_height) - math.radians(pitch_tolerance_deg)
+    return math.tan(max(left, 0.0))
+
+
+def _pyramid_sr(half_width: float, half_height: float) -> float:
+    a, b = half_width, half_height
+    return 4 * math.asin(a * b / math.sqrt((1 + a * a) * (1 + b * b)))
+
+
+def _outermost_sr(camera: Camera, fraction: float) -> float:
+    """Solid angle of the outermost fraction of an image's area: the least that any part of that area can have."""
+    y = (np.arange(_RAYS) + 0.5) / _RAYS * camera.half_width
+    z = (np.arange(_RAYS) + 0.5) / _RAYS * camera.half_height
+    density = np.sort(((1 + y[:, None] ** 2 + z**2) ** -1.5).ravel())
+    cell = camera.half_width * camera.half_height / _RAYS**2
+    # a hair less for the quadrature
+    return float(4 * cell * density[: int(fraction * len(density))].sum()) * (1 - 1e-3)
+
+
+def _box_sr(box: Band | AngleBox) -> float:
+    low, high = math.radians(box.elevation_min_deg), math.radians(box.elevation_max_deg)
+    width = math.radians(min(box.azimuth_max_deg - box.azimuth_min_deg, 360.0))
+    return max(math.sin(high) - math.sin(low), 0.0) * width
+
+
+def _common_sr(band: Band, mask: AngleBox) -> float:
+    low, high = max(band.elevation_min_deg, mask.elevation_min_deg), min(band.elevation_max_deg, mask.elevation_max_deg)
+    if high <= low:
+        return 0.0
+    start, stop = band.azimuth_min_deg, band.azimuth_max_deg
+    shift = 360.0 * math.floor((mask.azimuth_min_deg - start) / 360.0)
+    left, right = mask.azimuth_min_deg - shift, mask.azimuth_max_deg - shift
+    width = sum(max(0.0, min(right + turn, stop) - max(left + turn, start)) for turn in (-360.0, 0.0, 360.0))
+    height = math.sin(math.radians(high)) - math.sin(math.radians(low))
+    return height * math.radians(min(width, stop - start))

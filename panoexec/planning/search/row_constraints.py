@@ -1,0 +1,278 @@
+"""What rows have to satisfy, in one place: the band, the gimbal's limits, C2 in a row, C1 and C3 between rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panoexec.angles import FloatArray
+from panoexec.optics import Camera
+from panoexec.planning.model import Constraints
+from panoexec.planning.search.row_cover import RowCover
+from panoexec.planning.search.row_layout import IntArray, RowLayout, reachable_pitch
+from panoexec.planning.search.row_pairs import PairMargin, Pairs
+from panoexec.planning.search.row_spacing import NeighbourDemand, NeighbourSpacing
+
+Zone = tuple[float, float]
+
+Loss = Callable[[FloatArray], FloatArray]
+"""What errors may take from the overlap of images of pitch (k,) with the next row, fractions of an image."""
+
+_CANDIDATES = 81
+_NARROWING = 24
+_TURNED = 60
+_MOST_TURNED = 60
+"""Up to so many images are checked for being turned too far against each other about a pole."""
+
+_STEEP_DEG = 45.0
+_MANY = 40
+_ZONE_NODES = 46
+_TURN_NODES = 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Demands:
+    """What is asked of rows besides coverage.
+
+    Attributes:
+        neighbours: in a row.
+        planned_v: overlap with the next row at the planned poses.
+        worst_v: likewise whatever the errors; 0 for nothing.
+        least_count: images in a row.
+        least_rows: rows.
+    """
+
+    neighbours: NeighbourDemand
+    planned_v: float
+    worst_v: float = 0.0
+    least_count: int = 1
+    least_rows: int = 1
+
+
+class RowRules:
+    """The rules for the rows of one plan.
+
+    Attributes:
+        camera: the camera.
+        demands: what is asked of rows besides coverage.
+        pitch_deg: lowest and highest pitch that rows may have.
+        band_deg: lowest and highest elevation to cover.
+        layout: how the images of a row lie.
+        margin: by how much pairs of rows satisfy C1 and C3.
+    """
+
+    def __init__(self, camera: Camera, constraints: Constraints, demands: Demands, loss: Loss | None = None) -> None:
+        self.camera = camera
+        self.demands = demands
+        self._constraints = constraints
+        self.pitch_deg = reachable_pitch(constraints.gimbal)
+        self.band_deg = constraints.band.elevation_min_deg, constraints.band.elevation_max_deg
+        self._spacing = NeighbourSpacing(camera, demands.neighbours)
+        self.layout = RowLayout(constraints, self._spacing.widest)
+        self._cover = RowCover(camera, constraints.tolerance)
+        self.margin = PairMargin(camera, self.layout, self._cover)
+        self._loss = loss
+        self.zones = lru_cache(maxsize=None)(self._zones)
+
+    @property
+    def overlap_v(self) -> float:
+        """What C3 asks for at the least."""
+        return max(self.demands.planned_v, self.demands.worst_v)
+
+    @cached_property
+    def many(self) -> bool:
+        """Whether one image more or less in a row hardly changes how high the next row can stand."""
+        return int(self.fewest(np.zeros(1))[0]) >= _MANY
+
+    def pairs(self, low_deg: FloatArray, low_count: IntArray, high_count: IntArray) -> Pairs:
+        """Pairs of rows with what C3 demands of them; the pitch of the higher rows is left open."""
+        return Pairs(
+            low_deg=low_deg,
+            low_count=low_count,
+            high_deg=low_deg,
+            high_count=high_count,
+            low_demand=self._demand_v(low_deg),
+            high_demand=self._demand_v(low_deg + 0.85 * self.camera.vfov_deg),
+        )
+
+    def _demand_v(self, pitch_deg: FloatArray) -> FloatArray:
+        planned = np.full(len(pitch_deg), self.demands.planned_v)
+        if self.demands.worst_v == 0:
+            return planned
+        loss = np.zeros(len(pitch_deg)) if self._loss is None else self._loss(pitch_deg)
+        return np.asarray(np.maximum(planned, self.demands.worst_v + loss))
+
+    def with_seam(self, seam: float) -> RowRules:
+        """The same with another demand on what neighbours both see of the meridian between them."""
+        demands = replace(self.demands, neighbours=replace(self.demands.neighbours, seam=seam))
+        return RowRules(self.camera, self._constraints, demands, self._loss)
+
+    def band(self, pitch_deg: FloatArray, count: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Elevations that rows cover all round, whatever the errors: lowest and highest, each (k,)."""
+        spacing, reach = self.layout.spacing_and_reach(pitch_deg, count)
+        return self._cover.band(pitch_deg, spacing, reach)
+
+    def allowed(self, pitch_deg: FloatArray, count: IntArray) -> NDArray[np.bool_]:
+        """Whether C2 allows rows, (k,)."""
+        if not self.layout.closed:
+            # as far apart as the layout puts them, images may be turned too far against each other about a pole
+            spacing, _ = self.layout.spacing_and_reach(pitch_deg, count)
+            out = (count == 1) & (count >= self.demands.least_count)
+            several = np.nonzero((count > 1) & (count >= self.demands.least_count) & (spacing > 0))[0]
+            out[several] = self._spacing.surplus(pitch_deg[several], spacing[several]) >= 0
+            return np.asarray(out)
+        out = np.zeros(len(pitch_deg), dtype=bool)
+        for number in np.unique(count).tolist():
+            mine = count == number
+            for low, high in self.zones(number):
+                out |= mine & (pitch_deg >= low) & (pitch_deg <= high)
+        return out
+
+    def _zones(self, count: int) -> list[Zone]:
+        """Ranges of pitch in which C2 allows a count, the upper one first."""
+        if count < self.demands.least_count:
+            return []
+        if not self.layout.closed:
+            return [(-90.0, 90.0)]
+        limit = float(self._least_steep[min(count, len(self._least_steep) - 1)])
+        turned = self._turns_too_far and 1 < count <= _TURNED
+        steep = self._steep_zones(count, limit) if turned else [(limit, 90.0)]
+        if steep == [(0.0, 90.0)]:
+            return [(-90.0, 90.0)]
+        return [*reversed(steep), *((-high, -low) for low, high in steep)]
+
+    def _steep_zones(self, count: int, limit_deg: float) -> list[Zone]:
+        """Ranges of |pitch| from a limit on in which C2 allows a count of a few images.
+
+        About a pole they are turned against each other by so much that long images may share less than further out.
+        """
+        spacing = float(self.layout.closing_spacing_deg(np.array([count]))[0])
+        steep = np.union1d(np.linspace(limit_deg, 90.0, _ZONE_NODES), limit_deg)
+        good = self._spacing.surplus(steep, np.full(len(steep), spacing)) >= 0
+        good[0] = good[0] or limit_deg < 90.0
+        zones: list[Zone] = []
+        start: float | None = None
+        for s, fine in zip(steep.tolist(), good.tolist(), strict=True):
+            if fine:
+                start = s if start is None else start
+                zones = [*zones[:-1], (start, s)] if zones and zones[-1][0] == start else [*zones, (start, s)]
+            else:
+                start = None
+        return zones
+
+    def zone_of(self, pitch_deg: float, count: int) -> Zone:
+        """The range of pitches in which C2 allows a count that holds the given pitch, within the gimbal's."""
+        for low, high in self.zones(count):
+            if low - 1e-9 <= pitch_deg <= high + 1e-9:
+                return max(low, self.pitch_deg[0]), min(high, self.pitch_deg[1])
+        return pitch_deg, pitch_deg
+
+    def fewest(self, pitch_deg: FloatArray) -> IntArray:
+        """Fewest images that C2 alone asks for at pitches (k,)."""
+        least = self.demands.least_count
+        if not self.layout.closed:
+            widest = np.maximum(self._spacing.widest(pitch_deg), 1e-3)
+            return np.maximum(least, np.ceil(self.layout.span_deg / widest - 0.5).astype(np.intp))
+        most = len(self._least_steep) - 1
+        if self._most_turned > most:
+            nodes, fewest = self._fewest_turned
+            index = np.minimum(np.searchsorted(nodes, np.abs(pitch_deg)), len(nodes) - 1)
+            return np.asarray(np.where(np.abs(pitch_deg) >= 90.0, least, np.maximum(fewest[index], least)))
+        # the least steepness falls as the count grows: the first count whose one is not above the steepness
+        ascending = self._least_steep[::-1]
+        position = np.searchsorted(ascending, np.abs(pitch_deg), side="right")
+        return np.asarray(np.clip(np.where(np.abs(pitch_deg) >= 90.0, 1, most + 1 - position), least, most))
+
+    def counts_between(self, start_deg: float, stop_deg: float) -> tuple[int, int]:
+        """Fewest and most images that C2 alone asks for between two pitches."""
+        pitches = np.linspace(start_deg, stop_deg, 9)
+        if start_deg < 0 < stop_deg:
+            pitches = np.append(pitches, 0.0)
+        counts = self.fewest(pitches)
+        most = int(counts.max())
+        if self.layout.closed and max(-start_deg, stop_deg) > _STEEP_DEG:
+            most = max(most, self._most_turned)
+        return int(counts.min()), most
+
+    @cached_property
+    def _fewest_turned(self) -> tuple[FloatArray, IntArray]:
+        """Fewest images that C2 allows by |pitch|, where more are needed towards a pole than further out."""
+        nodes = np.linspace(0.0, 90.0, 361)
+        fewest = np.full(len(nodes), self._most_turned, dtype=np.intp)
+        for count in range(self._most_turned, 1, -1):
+            for low, high in self.zones(count):
+                fewest[(nodes >= low) & (nodes <= high)] = count
+        return nodes, fewest
+
+    @cached_property
+    def _turns_too_far(self) -> bool:
+        """Whether C2 forbids some count towards a pole that it allows further out."""
+        counts = np.arange(2, min(len(self._least_steep), _TURNED + 1))
+        spacing = self.layout.closing_spacing_deg(counts)
+        limit = self._least_steep[counts]
+        share = np.linspace(0.05, 1.0, _TURN_NODES)[:, None]
+        steep = limit + share * (90.0 - limit)
+        surplus = self._spacing.surplus(steep.ravel(), np.broadcast_to(spacing, steep.shape).ravel())
+        return bool(np.any((surplus.reshape(steep.shape) < 0) & (limit < 90.0)))
+
+    @cached_property
+    def _most_turned(self) -> int:
+        """Fewest images that C2 allows at any pitch at all; more than at the horizon for long images."""
+        if not self._turns_too_far:
+            return len(self._least_steep) - 1
+        steep = np.linspace(0.0, 89.9, _ZONE_NODES)
+        most = len(self._least_steep) - 1
+        for count in range(most, min(4 * most + 40, _MOST_TURNED)):
+            spacing = float(self.layout.closing_spacing_deg(np.array([count]))[0])
+            if self._spacing.surplus(steep[1:], np.full(len(steep) - 1, spacing)).min() >= 0:
+                return count
+        return most
+
+    @cached_property
+    def _least_steep(self) -> FloatArray:
+        """For each count of images of a closed row, the least |pitch| at which C2 allows it; never rising."""
+        most = self._spacing.most_images(360.0 - self.layout.blind_deg) + (1 if self.layout.blind_deg else 0)
+        counts = np.arange(2, max(most, 2) + 1)
+        steep = self._spacing.least_steep_deg(self.layout.closing_spacing_deg(counts))
+        steep = np.minimum.accumulate(np.concatenate([[90.0, 90.0], steep]))
+        if self.layout.blind_deg > 0:
+            steep = np.maximum(steep, self.blind_limit_deg)
+        return steep
+
+    @cached_property
+    def blind_limit_deg(self) -> float:
+        """The least |pitch| at which neighbours can bridge what the gimbal cannot pan to."""
+        return float(self._spacing.least_steep_deg(np.array([self.layout.blind_deg]))[0])
+
+    def widest(self, pitch_deg: FloatArray) -> FloatArray:
+        """The widest spacing of neighbours at pitches (k,), degrees."""
+        return self._spacing.widest(pitch_deg)
+
+    def first_rows(self, more_images: int) -> tuple[FloatArray, IntArray]:
+        """Rows that cover from the band's lower end: for each count the highest pitch, (k,) each."""
+        low, height = self.band_deg[0], self.camera.vfov_deg
+        bottom, top = self.pitch_deg
+        candidates = np.linspace(max(bottom, min(top, low - height)), max(bottom, min(top, low + height)), _CANDIDATES)
+        fewest, most = self.counts_between(float(candidates[0]), float(candidates[-1]))
+        counts = np.arange(fewest, most + more_images + 1)
+        pitch, count = np.repeat(candidates, len(counts)), np.tile(counts, len(candidates))
+        good = self._begins(pitch, count)
+        highest = np.array([pitch[good & (count == c)].max(initial=-np.inf) for c in counts.tolist()])
+        counts, highest = counts[np.isfinite(highest)], highest[np.isfinite(highest)]
+        step = float(candidates[1] - candidates[0])
+        lower, upper = highest, np.minimum(highest + step, top)
+        for _ in range(_NARROWING):
+            middle = (lower + upper) / 2
+            fine = self._begins(middle, counts)
+            lower, upper = np.where(fine, middle, lower), np.where(fine, upper, middle)
+        fine = self._begins(upper, counts)
+        return np.where(fine, upper, lower), counts
+
+    def _begins(self, pitch_deg: FloatArray, count: IntArray) -> NDArray[np.bool_]:
+        low, high = self.band(pitch_deg, count)
+        bottom = self.band_deg[0]
+        return np.asarray(self.allowed(pitch_deg, count) & (low <= bottom) & (high > max(bottom, -89.999)))

@@ -1,0 +1,136 @@
+"""What a row of images covers for certain on every meridian: the search's fast view of coverage (C1).
+
+On the meridian at azimuth φ from an image's own, each of its edge planes with normal n leaves the directions with
+n_x·cos φ + n_y·sin φ ≥ n_z·tan e: an interval of elevations e. The intersection over the corners of the box of pointing
+errors, and over yaw errors of 0, is what the image covers for certain, up to the square of the tolerances (an allowance
+for which is taken off). A row of evenly spaced images covers on each meridian the union of what the nearest images do.
+
+The certificate proves coverage with other means (`planning.certificate.coverage`); this only steers the search.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from panoexec.angles import FloatArray, rotation
+from panoexec.optics import Camera
+from panoexec.planning.geometry.footprint import edge_normals
+from panoexec.planning.model import Tolerance
+
+ROUNDING_DEG = 1e-5
+"""Taken off every interval's ends: the certificate does not accept images that merely touch."""
+
+_LEVEL = 1e-12
+
+
+class CoreEdges:
+    """The edge planes of images under the extreme pointing errors.
+
+    Attributes:
+        allowance_deg: taken off both ends of every interval of elevations.
+    """
+
+    def __init__(self, camera: Camera, tolerance: Tolerance) -> None:
+        self._normals = edge_normals(camera)
+        yaws = (-tolerance.yaw_deg, 0.0, tolerance.yaw_deg) if tolerance.yaw_deg else (0.0,)
+        rolls = (-tolerance.roll_deg, tolerance.roll_deg) if tolerance.roll_deg else (0.0,)
+        pitches = (-tolerance.pitch_deg, tolerance.pitch_deg) if tolerance.pitch_deg else (0.0,)
+        self._errors = np.array(list(itertools.product(yaws, rolls, pitches)))
+        radians = np.radians([tolerance.yaw_deg, tolerance.roll_deg, tolerance.pitch_deg])
+        self.allowance_deg = ROUNDING_DEG + float(np.degrees((radians**2).sum() / 2))
+
+    def planes(self, pitch_deg: ArrayLike) -> FloatArray:
+        """World normals (..., k, 3) of the edge planes of images at yaw 0 and the given pitch (...)."""
+        pitch = np.asarray(pitch_deg, dtype=np.float64)[..., None]
+        yaw, roll, tilt = self._errors.T
+        turned = rotation(yaw, pitch + tilt, roll)
+        planes = self._normals @ np.swapaxes(turned, -1, -2)
+        return np.asarray(planes.reshape(*pitch.shape[:-1], 4 * len(self._errors), 3))
+
+    def intervals(self, pitch_deg: ArrayLike, azimuth_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Elevations that images cover for certain on meridians.
+
+        Args:
+            pitch_deg: (...), of images at yaw 0.
+            azimuth_deg: (..., m) azimuths of meridians for each image.
+
+        Returns:
+            Lowest and highest elevation, each (..., m), degrees; lowest > highest where nothing is covered. An end at
+            ±90 may be exactly that.
+        """
+        return meridian_intervals(self.planes(pitch_deg), azimuth_deg, self.allowance_deg)
+
+
+def meridian_intervals(
+    planes: FloatArray, azimuth_deg: ArrayLike, allowance_deg: float
+) -> tuple[FloatArray, FloatArray]:
+    """Intervals (..., m) of elevations that half-spaces (..., k, 3) leave of meridians (..., m), see the module."""
+    azimuth = np.radians(np.asarray(azimuth_deg, dtype=np.float64))[..., None, :]
+    level = planes[..., 0, None] * np.cos(azimuth) + planes[..., 1, None] * np.sin(azimuth)
+    steep = planes[..., 2, None]
+    slope = level / np.where(np.abs(steep) > _LEVEL, steep, 1.0)
+    upper = np.where(steep > _LEVEL, slope, np.where((np.abs(steep) <= _LEVEL) & (level < 0), -np.inf, np.inf))
+    lower = np.where(steep < -_LEVEL, slope, -np.inf)
+    high = np.degrees(np.arctan(upper.min(axis=-2)))
+    low = np.degrees(np.arctan(lower.max(axis=-2)))
+    # a pole is covered where it is deep enough inside all edge planes, and then to the end
+    deep = np.sin(np.radians(allowance_deg))
+    nadir, zenith = planes[..., 2].min(axis=-1)[..., None] >= deep, planes[..., 2].max(axis=-1)[..., None] <= -deep
+    return np.where((low <= -90.0) & nadir, low, low + allowance_deg), np.where(
+        (high >= 90.0) & zenith, high, high - allowance_deg
+    )
+
+
+class RowCover:
+    """What rows of images cover all round, for any phase, and on each meridian."""
+
+    def __init__(self, camera: Camera, tolerance: Tolerance) -> None:
+        self.edges = CoreEdges(camera, tolerance)
+        self._dense_deg = camera.hfov_deg / 2
+        """Where the neighbours of neighbours overlap, they may cover what the nearest image does not."""
+
+    def band(self, pitch_deg: ArrayLike, spacing_deg: ArrayLike, reach_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Elevations that rows cover at every azimuth.
+
+        Args:
+            pitch_deg: (k,).
+            spacing_deg: (k,) yaw between neighbours.
+            reach_deg: (k,) largest azimuth from the nearest image's own: at least half the spacing.
+
+        Returns:
+            Lowest and highest, each (k,); empty (lowest > highest) where gaps remain.
+        """
+        pitch, reach = np.asarray(pitch_deg, np.float64), np.asarray(reach_deg, np.float64)
+        azimuths = reach[..., None] * np.linspace(0.0, 1.0, 7)
+        low, high = self.row_intervals(pitch, np.asarray(spacing_deg, np.float64), azimuths)
+        return low.max(axis=-1), high.min(axis=-1)
+
+    def row_intervals(
+        self, pitch_deg: FloatArray, spacing_deg: FloatArray, azimuth_deg: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Elevations that rows cover on meridians near one of their images.
+
+        The image at yaw 0 and its neighbours count as far as they join on to the image's own interval.
+
+        Args:
+            pitch_deg: (...).
+            spacing_deg: (...), 0 where there are no neighbours.
+            azimuth_deg: (..., m) from the image at yaw 0.
+
+        Returns:
+            Lowest and highest, each (..., m).
+        """
+        planes = self.edges.planes(pitch_deg)
+        low, high = meridian_intervals(planes, azimuth_deg, self.edges.allowance_deg)
+        if not np.any((spacing_deg > 0) & (spacing_deg < self._dense_deg)):
+            return low, high
+        for side in (-1.0, 1.0):
+            shifted = azimuth_deg + side * spacing_deg[..., None]
+            near_low, near_high = meridian_intervals(planes, shifted, self.edges.allowance_deg)
+            joined = (near_low <= near_high) & (low <= high) & (near_low <= high) & (near_high >= low)
+            low = np.where(joined, np.minimum(low, near_low), low)
+            high = np.where(joined, np.maximum(high, near_high), high)
+        return low, high

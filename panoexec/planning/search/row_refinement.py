@@ -1,0 +1,174 @@
+"""From a way through the search to rows: the same counts, with all slack shared out evenly, and turned to fit.
+
+The search stands every row as high as it can. Here the counts are kept and the greatest margin μ is sought with which
+the rows still reach the top of the band: then every pair of rows has that margin to spare, and the lowest and the
+highest row reach over the ends of the band by as much, so that a single row stands in the middle of its band.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panoexec.angles import FloatArray
+from panoexec.planning.search.row_constraints import RowRules
+from panoexec.planning.search.row_pairs import FINE, PHASES
+from panoexec.planning.search.row_search import FEW
+from panoexec.planning.search.row_steps import highest_pitch
+
+_RUNGS = (0.3, 0.6, 0.8, 0.92, 0.99)
+"""Parts of the margin that the slack seems good for."""
+
+_MOST_MARGIN = 0.4
+_LOWEST_NODES, _CENTRED_NODES = 33, 400
+_FLATTEST_END_DEG = 89.9
+"""Beyond this the end of a band is a pole: there is nothing to reach over."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rows:
+    """Rows of evenly spaced images, the lowest first.
+
+    Attributes:
+        pitch_deg: of each row.
+        count: images of each row.
+        phase_deg: yaw of each row's first image, where rows are free to turn.
+        margin: that every pair of rows has, see `PairMargin`.
+    """
+
+    pitch_deg: tuple[float, ...]
+    count: tuple[int, ...]
+    phase_deg: tuple[float, ...]
+    margin: float
+
+    @property
+    def images(self) -> int:
+        """Number of images."""
+        return sum(self.count)
+
+
+def polish(rules: RowRules, path: Sequence[tuple[float, int]], least_margin: float = 0.0) -> Rows | None:
+    """Give rows of the given counts the greatest common margin.
+
+    Args:
+        rules: what they have to satisfy.
+        path: (pitch_deg, count) of the rows, lowest first; none stands higher than where C2 allows its count, and rows
+            of a few images no higher than given.
+        least_margin: what they have to have at least.
+
+    Returns:
+        The rows; None if they do not reach the top of the band with `least_margin`.
+    """
+    if len(path) == 1 and all(_free_ends(rules)):
+        return _centred(rules, *path[0], least_margin)
+    extra = np.array([0.0, *(part * _promising(rules, path) for part in _RUNGS)])
+    pitches = _climb(rules, path, least_margin + extra, extra)
+    reaches = _reaches(rules, path[-1][1], pitches[-1], extra)
+    if not rules.layout.closed:
+        counts_of = np.array([count for _, count in path])
+        for i in np.nonzero(reaches)[0].tolist():
+            reaches[i] = rules.allowed(pitches[:, i], counts_of).all()
+    good = np.nonzero(reaches)[0]
+    if not len(good) or good[0] != 0:
+        return None
+    last = int(good[-1])
+    counts = tuple(count for _, count in path)
+    return Rows(
+        pitch_deg=tuple(pitches[:, last].tolist()),
+        count=counts,
+        phase_deg=_phases(rules, pitches[:, last], counts),
+        margin=float(least_margin + extra[last]),
+    )
+
+
+def _centred(rules: RowRules, pitch_deg: float, count: int, margin: float) -> Rows:
+    """A single row, no higher than given, that reaches as far over one end of the band as over the other."""
+    height = rules.camera.vfov_deg
+    floor, _ = rules.zone_of(pitch_deg, count)
+    pitch = np.linspace(max(floor, pitch_deg - height), pitch_deg, _CENTRED_NODES)
+    low, high = rules.band(pitch, np.full(len(pitch), count))
+    over = np.minimum(rules.band_deg[0] - low, high - rules.band_deg[1])
+    best = float(pitch[int(np.argmax(over))])
+    return Rows(pitch_deg=(best,), count=(count,), phase_deg=(0.0,), margin=margin)
+
+
+def _promising(rules: RowRules, path: Sequence[tuple[float, int]]) -> float:
+    """The margin that the slack at the top is good for, if rows may be moved freely."""
+    pitch, count = path[-1]
+    _, high = rules.band(np.array([pitch]), np.array([count]))
+    height = rules.camera.vfov_deg
+    bottom, top = _free_ends(rules)
+    places = len(path) - 1 + bottom + top
+    slack = max(float(high[0]) - rules.band_deg[1], 0.0)
+    if not top:
+        # about a pole an image reaches far over: what counts is how low the last row may stand
+        floor, _ = rules.zone_of(pitch, count)
+        lower = np.linspace(max(floor, pitch - height), pitch, _LOWEST_NODES)
+        _, highs = rules.band(lower, np.full(len(lower), count))
+        slack = pitch - float(lower[highs >= rules.band_deg[1]].min(initial=pitch))
+    return min(slack / (max(places, 1) * height), _MOST_MARGIN)
+
+
+def _free_ends(rules: RowRules) -> tuple[bool, bool]:
+    """Whether rows can reach over the lower and the upper end of the band."""
+    low, high = rules.band_deg
+    return low > -_FLATTEST_END_DEG, high < _FLATTEST_END_DEG
+
+
+def _climb(rules: RowRules, path: Sequence[tuple[float, int]], margins: FloatArray, extra: FloatArray) -> FloatArray:
+    """Pitches (rows, margins) of rows as high as they can be with each margin, and no higher than given; else NaN.
+
+    Args:
+        rules: what they have to satisfy.
+        path: as for `polish`.
+        margins: of pairs of rows.
+        extra: how far the first row reaches over the lower end of the band, in vertical fields of view.
+    """
+    height = rules.camera.vfov_deg
+    floor, _ = rules.zone_of(*path[0])
+    over = height * extra if _free_ends(rules)[0] else np.zeros(len(margins))
+    out = np.full((len(path), len(margins)), np.nan)
+    out[0] = np.maximum(path[0][0] - over, floor)
+    for i in range(1, len(path)):
+        (before_deg, before), (pitch, count) = path[i - 1], path[i]
+        floor, _ = rules.zone_of(pitch, count)
+        low = np.maximum(out[i - 1] + 0.05 * height, floor)
+        high = np.minimum(np.full(len(margins), pitch), out[i - 1] + height)
+        possible = np.nonzero(low <= high + 1e-9)[0]  # not for NaN
+        if len(possible):
+            low, high, lower = np.minimum(low, high)[possible], high[possible], out[i - 1][possible]
+            guess = lower + (pitch - before_deg) - margins[possible] * height
+            out[i, possible] = highest_pitch(
+                rules.margin,
+                rules.pairs(lower, np.full(len(possible), before), np.full(len(possible), count)),
+                low,
+                high,
+                wanted=margins[possible],
+                height_deg=height,
+                guess=np.where(min(before, count) > FEW, guess, np.nan),
+            )
+    return out
+
+
+def _reaches(rules: RowRules, count: int, pitch_deg: FloatArray, extra: FloatArray) -> NDArray[np.bool_]:
+    """Whether rows at the top cover up to the band's end, and beyond by so many vertical fields of view."""
+    some = ~np.isnan(pitch_deg)
+    _, high = rules.band(np.where(some, pitch_deg, 0.0), np.full(len(pitch_deg), count))
+    over = extra * rules.camera.vfov_deg * _free_ends(rules)[1]
+    return np.asarray(some & (high >= rules.band_deg[1] + over))
+
+
+def _phases(rules: RowRules, pitch_deg: FloatArray, counts: tuple[int, ...]) -> tuple[float, ...]:
+    """Turn each row to the best of the phases against the row below it."""
+    phases = [0.0]
+    if len(counts) > 1:
+        n = np.array(counts)
+        pairs = rules.pairs(pitch_deg[:-1], n[:-1], n[1:]).at(np.arange(len(n) - 1), pitch_deg[1:])
+        best = np.argmax(rules.margin.margins(pairs, FINE).round(9), axis=1)
+        recurs = 360.0 / np.lcm(n[:-1], n[1:])
+        for i, choice in enumerate(best.tolist()):
+            phases.append((phases[-1] + PHASES[choice] * float(recurs[i])) % (360.0 / counts[i + 1]))
+    return tuple(phases)

@@ -1,0 +1,145 @@
+"""What is still to come: fewest images above a row, by a relaxation that only knows counts and steps.
+
+On a fine grid of pitches, each pitch a row with as many images as C2 asks for, one step above the other: a row may
+follow another one as far up as a pair with the best of phases allows, measured at a few pitches and a little
+lengthened. Whether rows fit otherwise is not looked at, so the relaxation promises a little too much.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from panoexec.angles import FloatArray
+from panoexec.planning.search.row_constraints import RowRules
+from panoexec.planning.search.row_steps import highest_pitch
+
+_GRID = 250
+_GRID_MANY = 600
+"""Grid steps in a vertical field of view, and where there are many rows, so that rounding does not add up."""
+
+_NODES = 17
+_STEEPEST_DEG = 76.0
+_GENEROUS = 5e-4
+"""What measured steps are lengthened by, in vertical fields of view."""
+
+_POLAR_GENEROUS = 1.01
+_POLAR_SHARE = 0.3
+_MORE_IMAGES = 4
+_MANY = 40
+"""In rows of so many images one more or less hardly changes how high the next row can stand."""
+
+_LOW_DEG = 8.0
+_TALL_DEG = 60.0
+"""With a larger vertical field of view steps are not measured: there are only a few rows."""
+
+NEVER = 10**7
+"""Images above a row from which no way leads on."""
+
+
+class Outlook:
+    """Fewest images above a row.
+
+    Args:
+        rules: what rows have to satisfy.
+        wanted: margin of pairs of rows that steps are measured with.
+    """
+
+    def __init__(self, rules: RowRules, wanted: float = 0.0) -> None:
+        self._rules = rules
+        self._wanted = wanted
+        height = rules.camera.vfov_deg
+        low, high = rules.pitch_deg
+        grid = _GRID if height > _LOW_DEG else _GRID_MANY
+        count = max(2, math.ceil((high - low) / height * grid) + 1)
+        self._grid = np.linspace(low, high, count)
+        self._step = float(self._grid[1] - self._grid[0]) or 1.0
+        steps_deg = self._steps_deg(self._grid)
+        self._longest = steps_deg
+        density = rules.layout.span_deg / np.clip(rules.widest(self._grid), 1e-3, rules.layout.span_deg) / steps_deg
+        self._about = np.cumsum((density * self._step)[::-1])[::-1]
+        self._closing = self._closing_counts()
+        self._after = self._solve(steps_deg)
+
+    def longest_step_deg(self, pitch_deg: float) -> float:
+        """The longest step from a row to the next."""
+        return float(self._longest[self._index(pitch_deg)])
+
+    def least_after(self, pitch_deg: float) -> int:
+        """Fewest images above a row that does not reach the band's upper end itself."""
+        return round(float(self._after[self._index(pitch_deg)]))
+
+    def least_above(self, pitch_deg: float, count: int) -> int:
+        """Fewest images above a row that may reach it."""
+        i = self._index(pitch_deg)
+        return 0 if float(self._closing[i]) <= count else round(float(self._after[i]))
+
+    def _index(self, pitch_deg: float) -> int:
+        i = math.ceil((pitch_deg - float(self._grid[0])) / self._step - 1e-6)
+        return min(max(i, 0), len(self._grid) - 1)
+
+    def usual_step_deg(self, pitch_deg: FloatArray) -> FloatArray:
+        """About how high the next row stands above rows at pitches (k,)."""
+        return np.asarray(np.interp(pitch_deg, self._grid, self._longest) - _GENEROUS * self._rules.camera.vfov_deg)
+
+    def about_after(self, pitch_deg: float) -> float:
+        """About how many images above a row, not in whole ones: to tell apart labels that promise the same."""
+        return float(np.interp(pitch_deg, self._grid, self._about))
+
+    def _steps_deg(self, pitch_deg: FloatArray) -> FloatArray:
+        """Longest steps from rows at pitches (k,)."""
+        rules, camera = self._rules, self._rules.camera
+        height, half = camera.vfov_deg, camera.half_height
+        # an endless strip of images along a great circle, of which C3 asks `overlap_v`
+        strip = height / 2 + math.degrees(math.atan(half * (1 - 2 * rules.overlap_v)))
+        # about a pole an image sees all azimuths, and a row more than a strip
+        steep = np.minimum(np.abs(pitch_deg) + height / 2, 90.0)
+        polar = np.cos(np.radians(steep)) < camera.half_width * _POLAR_SHARE
+        limit = np.where(polar, height, min(strip * _POLAR_GENEROUS, height))
+        nodes = np.linspace(-_STEEPEST_DEG, _STEEPEST_DEG - strip, 4 * _NODES if rules.many else _NODES)
+        nodes = nodes[(nodes > rules.pitch_deg[0]) & (nodes + strip < rules.pitch_deg[1])]
+        if not len(nodes) or not rules.layout.closed or height > _TALL_DEG:
+            return limit
+        found = self._measured(nodes, strip)
+        nodes, found = nodes[~np.isnan(found)], found[~np.isnan(found)]
+        if not len(nodes):
+            return limit
+        measured = np.interp(pitch_deg, nodes, found - nodes + _GENEROUS * height)
+        inner = (pitch_deg >= nodes[0]) & (pitch_deg <= nodes[-1])
+        return np.where(inner, np.minimum(measured, limit), limit)
+
+    def _measured(self, nodes: FloatArray, strip_deg: float) -> FloatArray:
+        rules, height = self._rules, self._rules.camera.vfov_deg
+        low, high = rules.fewest(nodes) + 1, rules.fewest(nodes + strip_deg) + 1
+        # where the phase hardly matters, numbers without a common divisor: every relative position occurs
+        high = np.where((low >= _MANY) & (np.gcd(low, high) > 1), high + 1, high)
+        pairs = rules.pairs(nodes, low, high)
+        stop = nodes + min(height, strip_deg * _POLAR_GENEROUS)
+        wanted = np.full(len(nodes), self._wanted)
+        return highest_pitch(rules.margin, pairs, nodes + 0.3 * height, stop, wanted=wanted, height_deg=height)
+
+    def _closing_counts(self) -> FloatArray:
+        """Fewest images with which rows on the grid reach the band's upper end, infinite where none do."""
+        rules, grid = self._rules, self._grid
+        top = rules.band_deg[1]
+        fewest = rules.fewest(grid)
+        closing = np.full(len(grid), np.inf)
+        near = np.nonzero(grid + rules.camera.vfov_deg >= top)[0]
+        for more in range(_MORE_IMAGES):
+            _, high = rules.band(grid[near], fewest[near] + more)
+            # half a grid step higher it may just reach
+            done = near[(high >= top - self._step) & np.isinf(closing[near])]
+            closing[done] = fewest[done] + more
+        return closing
+
+    def _solve(self, steps_deg: FloatArray) -> FloatArray:
+        grid, fewest = self._grid, self._rules.fewest(self._grid)
+        after = np.full(len(grid), np.inf)
+        cost = self._closing.copy()
+        reach = np.floor(steps_deg / self._step).astype(int) + 1
+        for i in range(len(grid) - 2, -1, -1):
+            after[i] = cost[i + 1 : i + 1 + reach[i]].min()
+            cost[i] = min(cost[i], fewest[i] + after[i])
+        # rows that are too low for the band's top but cannot go higher have no future
+        return np.where(np.isinf(after), NEVER, after)

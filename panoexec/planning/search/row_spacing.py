@@ -1,0 +1,118 @@
+"""How far apart the images of one row may stand: what C2, and where it binds C4, ask of neighbours."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from panoexec.angles import FloatArray
+from panoexec.optics import Camera
+from panoexec.planning.geometry.root_finding import last_nonnegative
+from panoexec.planning.model import NO_TOLERANCE, Tolerance
+from panoexec.planning.search.row_cover import CoreEdges
+from panoexec.planning.search.row_overlap import neighbour_overlap
+
+HAIR = 1e-7
+"""Overlap asked for beyond the threshold: more than rounding, less than an image."""
+
+MOST_IN_A_ROW = 5000
+
+_HOPELESS = 100
+"""Where no number of images does at the horizon: so many are tried towards the poles."""
+
+_NODES = 33
+_STEPS = 60
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NeighbourDemand:
+    """What images of one row have to share, as fractions of an image.
+
+    Attributes:
+        planned: neighbours, at the planned poses.
+        worst: neighbours, whatever the errors; 0 for nothing.
+        second: images two apart, whatever the errors; 0 for nothing.
+        tolerance: the errors.
+        seam: how much of the meridian between neighbours both see whatever the errors, in vertical fields of view.
+    """
+
+    planned: float
+    worst: float
+    tolerance: Tolerance
+    second: float = 0.0
+    seam: float = 0.0
+
+    def surplus(self, camera: Camera, pitch_deg: FloatArray, spacing_deg: FloatArray) -> FloatArray:
+        """How much more images of pitch (k,) share than they have to, when (k,) apart.
+
+        Or, if that is less, how much more of the meridian between them both see whatever the errors than they have to,
+        in vertical fields of view: a row that does not close helps nobody.
+        """
+        surplus = neighbour_overlap(camera, pitch_deg, spacing_deg, NO_TOLERANCE) - self.planned
+        if self.worst > 0:
+            surplus = np.minimum(
+                surplus, neighbour_overlap(camera, pitch_deg, spacing_deg, self.tolerance) - self.worst
+            )
+        if self.second > 0:
+            twice = np.minimum(2 * spacing_deg, 180.0)
+            surplus = np.minimum(surplus, neighbour_overlap(camera, pitch_deg, twice, self.tolerance) - self.second)
+        if not self.tolerance.is_zero:
+            low, high = CoreEdges(camera, self.tolerance).intervals(pitch_deg, spacing_deg[:, None] / 2)
+            surplus = np.minimum(surplus, (high - low)[:, 0] / camera.vfov_deg - self.seam)
+        return surplus - HAIR
+
+
+class NeighbourSpacing:
+    """How far apart neighbours in a row may be, for one camera and demand."""
+
+    def __init__(self, camera: Camera, demand: NeighbourDemand) -> None:
+        self._camera = camera
+        self._demand = demand
+        costly = max(demand.worst, demand.second) > 0 and not demand.tolerance.is_zero
+        self._precision = 1e-4 if costly else 1e-7
+
+    def surplus(self, pitch_deg: FloatArray, spacing_deg: FloatArray) -> FloatArray:
+        """See `NeighbourDemand.surplus`."""
+        return self._demand.surplus(self._camera, pitch_deg, spacing_deg)
+
+    def widest(self, pitch_deg: FloatArray) -> FloatArray:
+        """The widest spacing allowed at pitches (...), degrees, a hair on the safe side; 0 where none is."""
+        steepness, widest = self._table
+        return np.asarray(np.interp(np.abs(pitch_deg), steepness, widest) * (1 - 1e-4))
+
+    def most_images(self, around_deg: float) -> int:
+        """How many neighbours' spacings fill so many degrees at any pitch, at most `MOST_IN_A_ROW`."""
+        at_horizon = float(self._widest_spacing(np.zeros(1))[0])
+        if at_horizon == 0:
+            return _HOPELESS
+        return MOST_IN_A_ROW if at_horizon * MOST_IN_A_ROW <= around_deg else math.ceil(around_deg / at_horizon)
+
+    def least_steep_deg(self, spacing_deg: FloatArray) -> FloatArray:
+        """The least |pitch| at which neighbours may be so far apart (k,); 90 where they never may, NaN for none."""
+        flatness = last_nonnegative(
+            lambda which, x: self._demand.surplus(self._camera, 90.0 - x, spacing_deg[which]),
+            np.full(len(spacing_deg), 0.1),
+            np.full(len(spacing_deg), 90.0),
+            self._precision,
+            _STEPS,
+        )
+        return np.where(np.isnan(flatness), 90.0, 90.0 - flatness)
+
+    @cached_property
+    def _table(self) -> tuple[FloatArray, FloatArray]:
+        steepness = np.linspace(0.0, 90.0, _NODES)
+        return steepness, self._widest_spacing(steepness)
+
+    def _widest_spacing(self, steepness_deg: FloatArray) -> FloatArray:
+        count = len(steepness_deg)
+        found = last_nonnegative(
+            lambda which, spacing: self._demand.surplus(self._camera, steepness_deg[which], spacing),
+            np.full(count, 360.0 / MOST_IN_A_ROW),
+            np.full(count, 180.0),
+            self._precision,
+            _STEPS,
+        )
+        return np.where(np.isnan(found), 0.0, found)

@@ -1,0 +1,149 @@
+"""What to ask of rows so that the certificate's C4, which the search does not look at, comes out true.
+
+First what C2 and C3 ask for. Where C4 then fails, more: that neighbours in a row surely share what makes an edge of the
+graph, then that rows do, in steps. Over a sector, where a single row or column is a chain that breaks at any link, also
+that images two apart in a row share that much, or rows two apart, or that there are at least two rows or two images in
+each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from panoexec.angles import FloatArray, rotation
+from panoexec.optics import Camera
+from panoexec.planning.certificate.adjacency import MUTUAL_OVERLAP
+from panoexec.planning.certificate.worst_overlap import ErrorCorners, worst_union_overlaps
+from panoexec.planning.geometry.overlap import union_overlap
+from panoexec.planning.model import Constraints
+from panoexec.planning.search.row_constraints import Demands, Loss
+from panoexec.planning.search.row_spacing import NeighbourDemand
+
+_SURE = MUTUAL_OVERLAP + 2e-4
+_BETWEEN_ROWS = (0.06, 0.1, 0.16, 0.25)
+_NODES = 10
+_AROUND = 4
+_LOSS_STEP = 0.5
+_TO_SPARE = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One set of demands.
+
+    Attributes:
+        demands: on rows.
+        loss: what errors take from overlaps between rows.
+        group: variants of a later group ask for more than those of an earlier one; within a group any may be the best.
+    """
+
+    demands: Demands
+    loss: Loss | None
+    group: int
+
+
+def variants(camera: Camera, constraints: Constraints) -> Iterator[Variant]:
+    """All sets of demands worth trying, the least first."""
+    worst_h = constraints.overlap_h if constraints.guarantee == "all" else 0.0
+    worst_v = constraints.overlap_v if constraints.guarantee == "all" else 0.0
+    loss = None if constraints.tolerance.is_zero else _Loss(camera, constraints)
+
+    def asked(
+        *, edge_h: float = 0.0, second: float = 0.0, edge_v: float = 0.0, v: float = 0.0, count: int = 1, rows: int = 1
+    ) -> Demands:
+        neighbours = NeighbourDemand(
+            planned=max(constraints.overlap_h, edge_h),
+            worst=max(worst_h, edge_h),
+            second=second,
+            tolerance=constraints.tolerance,
+        )
+        return Demands(
+            neighbours=neighbours,
+            planned_v=max(constraints.overlap_v, v),
+            worst_v=max(worst_v, edge_v),
+            least_count=count,
+            least_rows=rows,
+        )
+
+    yield Variant(asked(), loss, group=0)
+    yield Variant(asked(edge_h=_SURE), loss, group=1)
+    if not constraints.band.is_full_circle:
+        twice = _chain_overlap(camera)
+        for demands in (
+            asked(count=2),
+            asked(second=_SURE, count=3),
+            asked(edge_h=_SURE, count=2, rows=2),
+            asked(v=twice, edge_v=twice, rows=3),
+            asked(second=_SURE, edge_h=_SURE),
+            asked(second=_SURE, v=twice, edge_v=twice),
+        ):
+            yield Variant(demands, loss, group=2)
+    for group, edge_v in enumerate(_BETWEEN_ROWS, start=3):
+        if edge_v > worst_v:
+            yield Variant(asked(edge_h=_SURE, edge_v=edge_v), loss, group=group)
+
+
+def _chain_overlap(camera: Camera) -> float:
+    """Overlap of rows with which rows two apart share what makes an edge."""
+    half, height = camera.half_height, math.radians(camera.vfov_deg)
+    twice = height / 2 + math.atan(half * (1 - 2 * (_SURE + 0.01)))
+    return (half - math.tan(twice / 2 - height / 2)) / (2 * half)
+
+
+def worst_loss(camera: Camera, constraints: Constraints) -> Loss:
+    """What errors take at the most from the overlap of an image with the next row, by the image's pitch."""
+    return _Loss(camera, constraints)
+
+
+class _Loss:
+    """See `worst_loss`.
+
+    Measured for rows at their usual distance at a few pitches, when first asked for; between them it is taken for
+    linear, and above the horizon for the mirror image of below.
+    """
+
+    def __init__(self, camera: Camera, constraints: Constraints) -> None:
+        self._camera = camera
+        self._constraints = constraints
+
+    def __call__(self, pitch_deg: FloatArray) -> FloatArray:
+        steepness, losses = self._measured
+        return np.asarray(np.interp(np.abs(pitch_deg), steepness, losses))
+
+    @cached_property
+    def _measured(self) -> tuple[FloatArray, FloatArray]:
+        steepness = np.linspace(0.0, 90.0, _NODES)
+        # so near to each other that there is something to lose, then as near as what is lost brings them
+        step = _LOSS_STEP * self._camera.vfov_deg
+        losses = np.array([_loss_at(self._camera, self._constraints, -s, step) for s in steepness.tolist()])
+        overlap = self._constraints.overlap_v + 1.5 * float(losses.max()) + _TO_SPARE
+        half = self._camera.half_height
+        usual = self._camera.vfov_deg / 2 + math.degrees(math.atan(half * (1 - 2 * overlap)))
+        if usual > step:
+            again = [_loss_at(self._camera, self._constraints, -s, usual) for s in steepness.tolist()]
+            return steepness, np.array(again)
+        return steepness, losses
+
+
+def _loss_at(camera: Camera, constraints: Constraints, pitch_deg: float, step_deg: float) -> float:
+    worst = 0.0
+    for other_deg in (pitch_deg + step_deg, pitch_deg - step_deg):
+        if other_deg < -90.0:
+            continue
+        spacing = 0.8 * camera.hfov_deg / max(math.cos(math.radians(other_deg)), 0.05)
+        count = int(min(2 * _AROUND, max(1, 360 // spacing)))
+        for shift in (0.0, 0.5):
+            yaws = (np.arange(count) - (count - 1) // 2 + shift) * min(spacing, 360.0 / count)
+            poses = np.concatenate([rotation([0.0], pitch_deg), rotation(yaws, other_deg)])
+            partners = np.arange(1, count + 1)[None]
+            present = np.ones_like(partners, dtype=bool)
+            corners = ErrorCorners.of(camera, poses, constraints.tolerance)
+            least = worst_union_overlaps(corners, np.zeros(1, dtype=np.intp), partners, present)
+            planned = union_overlap(camera, poses[:1], poses[partners], present)
+            worst = max(worst, float(planned[0] - least[0]))
+    return worst

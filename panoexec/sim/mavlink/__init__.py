@@ -1,0 +1,1 @@
+"""The simulated vehicle's MAVLink components."""

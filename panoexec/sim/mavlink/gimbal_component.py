@@ -1,0 +1,187 @@
+"""The gimbal as a MAVLink gimbal device (component 154), protocol version 2.
+
+Sources: MAVLink common.xml, messages 283 to 286 and GIMBAL_DEVICE_FLAGS.
+"""
+
+from __future__ import annotations
+
+import math
+
+from panoexec.sim.config import SimConfig
+from panoexec.sim.faults import Faults
+from panoexec.sim.mavlink.component import NAN, Command, Component, bitmask, command_of
+from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.mavlink.wire import Link, Message, Sender
+from panoexec.sim.physics.gimbal import Angles, GimbalPhysics, Rates, Target, angles_of, body_rates, quaternion
+from panoexec.sim.physics.world import Repeater, Timeline
+
+COMPONENT_ID = mavlink.MAV_COMP_ID_GIMBAL
+VENDOR, MODEL = "panoexec", "simulated gimbal"
+_ATTITUDE_S = 0.02
+_LIMIT_MARGIN_DEG = 0.05
+"""ArduPilot makes whole degrees of the limits, rounding towards 0: an exact -90 would become -89 and hide the nadir."""
+_UID = 0x50414E4F0154
+
+_CAPABILITIES = bitmask(
+    getattr(mavlink, f"GIMBAL_DEVICE_CAP_FLAGS_{name}")
+    for name in (
+        "HAS_NEUTRAL",
+        "HAS_ROLL_AXIS",
+        "HAS_ROLL_LOCK",
+        "HAS_PITCH_AXIS",
+        "HAS_PITCH_LOCK",
+        "HAS_YAW_AXIS",
+        "HAS_YAW_FOLLOW",
+        "HAS_YAW_LOCK",
+    )
+)
+_PAN = bitmask(getattr(mavlink, f"GIMBAL_DEVICE_CAP_FLAGS_HAS_YAW_{name}") for name in ("AXIS", "FOLLOW", "LOCK"))
+_FRAME_VEHICLE = mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
+_FRAME_EARTH = mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_EARTH_FRAME
+_LOCK_YAW = mavlink.GIMBAL_DEVICE_FLAGS_YAW_LOCK
+_LOCKS_LEVEL = mavlink.GIMBAL_DEVICE_FLAGS_ROLL_LOCK | mavlink.GIMBAL_DEVICE_FLAGS_PITCH_LOCK
+
+
+class GimbalComponent:
+    """Obeys GIMBAL_DEVICE_SET_ATTITUDE, streams its own measured attitude relative to the vehicle's nose.
+
+    Attributes:
+        physics: the mechanics behind it.
+        vehicle_yaw_deg: the heading that the autopilot told last (286), NaN before; with its rate, degrees a second.
+    """
+
+    def __init__(
+        self, config: SimConfig, *, timeline: Timeline, physics: GimbalPhysics, faults: Faults, link: Link
+    ) -> None:
+        self.physics = physics
+        self.vehicle_yaw_deg = NAN
+        self.vehicle_yaw_rate_deg_s = 0.0
+        self.vehicle_yaw_time_s = 0.0
+        self._timeline = timeline
+        self._faults = faults
+        self._boot_s = config.payload_boot_s
+        self._component = Component(
+            timeline=timeline, sender=Sender(config.system_id, COMPONENT_ID), link=link, heartbeat=self._heartbeat
+        )
+        self._component.builders.update(
+            {
+                mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_INFORMATION: self._information,
+                mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: self.attitude_status,
+            }
+        )
+        self._attitude_stream = Repeater(timeline, self._stream_attitude)
+        self._frozen: Angles | None = None
+        self._frozen_nose_deg = 0.0
+
+    def start(self) -> None:
+        """Start the heartbeat and the attitude stream, both of which a gimbal sends unasked."""
+        self._component.start(phase_s=0.3)
+        self._attitude_stream.start(_ATTITUDE_S)
+
+    def measured(self) -> Angles:
+        """A measurement of the moment: yaw relative to the vehicle's nose; what faults do to it is in it."""
+        now = self._timeline.now_s
+        if self._faults.active("attitude-nan", now):
+            return Angles(NAN, NAN, NAN)
+        if self._faults.active("attitude-frozen", now):
+            if self._frozen is None:
+                self._frozen, self._frozen_nose_deg = self._fresh(), self.physics.nose_deg
+            return self._frozen
+        self._frozen = None
+        return self._fresh()
+
+    def _fresh(self) -> Angles:
+        yaw, roll, pitch = self.physics.measure()
+        return Angles(yaw - self.physics.nose_deg, roll, pitch)
+
+    def receive(self, message: Message) -> None:
+        """Take one message."""
+        kind = message.get_type()
+        if kind == "GIMBAL_DEVICE_SET_ATTITUDE":
+            if self._component.is_for_me(message):
+                self._obey(message)
+        elif kind == "AUTOPILOT_STATE_FOR_GIMBAL_DEVICE":
+            if self._component.is_for_me(message):
+                w, x, y, z = message.q
+                self.vehicle_yaw_deg = math.degrees(math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+                rate = getattr(message, "angular_velocity_z", 0.0)
+                self.vehicle_yaw_rate_deg_s = math.degrees(rate) if math.isfinite(rate) else 0.0
+                self.vehicle_yaw_time_s = self._timeline.now_s
+        elif self._component.is_addressed(message) and (command := command_of(message)) is not None:
+            self._command(command)
+
+    def _command(self, command: Command) -> None:
+        result = self._component.common_command(command, unknown_message=mavlink.MAV_RESULT_UNSUPPORTED)
+        self._component.acknowledge(command, mavlink.MAV_RESULT_UNSUPPORTED if result is None else result)
+
+    def _obey(self, message: Message) -> None:
+        flags = message.flags
+        if flags & (mavlink.GIMBAL_DEVICE_FLAGS_NEUTRAL | mavlink.GIMBAL_DEVICE_FLAGS_RETRACT):
+            self.physics.command(Target())
+            return
+        lock = bool(flags & _LOCK_YAW)
+        earth = bool(flags & _FRAME_EARTH) or (lock and not flags & _FRAME_VEHICLE)
+        q = tuple(message.q)
+        if all(math.isfinite(part) for part in q) and sum(part * part for part in q) > 0.5:
+            yaw, roll, pitch = angles_of(q)
+            if lock and not earth:
+                yaw += self.physics.nose_deg
+            elif earth and not lock:
+                yaw -= self.physics.nose_deg
+            self.physics.command(Target(pitch_deg=pitch, roll_deg=roll, yaw_deg=yaw, yaw_lock=lock))
+            return
+        rates = (message.angular_velocity_z, message.angular_velocity_x, message.angular_velocity_y)
+        if any(math.isfinite(rate) for rate in rates):
+            yaw_s, roll_s, pitch_s = (math.degrees(rate) if math.isfinite(rate) else 0.0 for rate in rates)
+            self.physics.command(Target(yaw_lock=lock, rates=Rates(yaw_s, roll_s, pitch_s)))
+
+    def _stream_attitude(self) -> None:
+        if not self._faults.active("attitude-stop", self._timeline.now_s):
+            self._component.send(self.attitude_status())
+
+    def _boot_ms(self) -> int:
+        return max(0, round((self._timeline.now_s - self._boot_s) * 1000))
+
+    def _heartbeat(self) -> Message:
+        return mavlink.MAVLink_heartbeat_message(
+            mavlink.MAV_TYPE_GIMBAL, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+        )
+
+    def attitude_status(self) -> Message:
+        """GIMBAL_DEVICE_ATTITUDE_STATUS (285) of the moment: angles and rates relative to the vehicle's nose."""
+        measured, lock = self.measured(), self.physics.target.yaw_lock
+        nose_deg = self.physics.nose_deg if self._frozen is None else self._frozen_nose_deg
+        turning = self.vehicle_yaw_rate_deg_s
+        yaw_s, roll_s, pitch_s = self.physics.rates
+        relative_s = yaw_s - turning if self.physics.config.pans else 0.0
+        rates = body_rates(measured, Rates(relative_s, roll_s, pitch_s))
+        return mavlink.MAVLink_gimbal_device_attitude_status_message(
+            0,
+            0,
+            self._boot_ms(),
+            _LOCKS_LEVEL | _FRAME_VEHICLE | (_LOCK_YAW if lock else 0),
+            quaternion(measured),
+            *rates,
+            0,
+            math.radians((nose_deg + 180) % 360 - 180),
+            math.radians(turning),
+            0,
+        )
+
+    def _information(self) -> Message:
+        c = self.physics.config
+        limits = (c.roll.min_deg, c.roll.max_deg, c.pitch.min_deg, c.pitch.max_deg)
+        yaw = (-180.0, 180.0) if c.yaw_endless else (c.yaw.min_deg, c.yaw.max_deg)
+        return mavlink.MAVLink_gimbal_device_information_message(
+            self._boot_ms(),
+            VENDOR.encode(),
+            MODEL.encode(),
+            b"",
+            0x00000001,
+            0x00000001,
+            _UID,
+            _CAPABILITIES if c.pans else _CAPABILITIES & ~_PAN,
+            0,
+            *(math.radians(limit + math.copysign(_LIMIT_MARGIN_DEG, limit)) for limit in (*limits, *yaw)),
+            0,
+        )

@@ -1,0 +1,247 @@
+"""The autopilot's gimbal manager (MAVLink gimbal protocol v2), as ArduPilot and PX4 do it.
+
+What differs: ArduPilot names its gimbal 1, answers for it alone, and lets anybody point it whoever is in control; PX4
+names the device's component and refuses who is not in control. ArduPilot sends the target to the device all the time,
+and passes its attitude on under its own name when asked to.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from panoexec.sim.config import SimConfig
+from panoexec.sim.mavlink.component import NAN, Command, bitmask
+from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.mavlink.wire import Message
+from panoexec.sim.physics.airframe import AirframeState
+from panoexec.sim.physics.gimbal import Angles, GimbalPhysics, Rates, Target, quaternion
+
+_LOCK_YAW = mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK
+_LEVEL = mavlink.GIMBAL_MANAGER_FLAGS_ROLL_LOCK | mavlink.GIMBAL_MANAGER_FLAGS_PITCH_LOCK
+_PAN = bitmask(getattr(mavlink, f"GIMBAL_MANAGER_CAP_FLAGS_HAS_YAW_{name}") for name in ("AXIS", "FOLLOW", "LOCK"))
+_AHEAD = mavlink.GIMBAL_MANAGER_FLAGS_NEUTRAL | mavlink.GIMBAL_MANAGER_FLAGS_RETRACT
+_CAPABILITIES = bitmask(
+    getattr(mavlink, f"GIMBAL_MANAGER_CAP_FLAGS_{name}")
+    for name in (
+        "HAS_RETRACT",
+        "HAS_NEUTRAL",
+        "HAS_ROLL_AXIS",
+        "HAS_ROLL_FOLLOW",
+        "HAS_ROLL_LOCK",
+        "HAS_PITCH_AXIS",
+        "HAS_PITCH_FOLLOW",
+        "HAS_PITCH_LOCK",
+        "HAS_YAW_AXIS",
+        "HAS_YAW_FOLLOW",
+        "HAS_YAW_LOCK",
+        "HAS_RC_INPUTS",
+        "CAN_POINT_LOCATION_LOCAL",
+        "CAN_POINT_LOCATION_GLOBAL",
+    )
+)
+
+
+class GimbalManager:
+    """Who is in control, where the gimbal shall point, what is reported.
+
+    Attributes:
+        primary: (system, component) in control, (0, 0) = nobody.
+    """
+
+    def __init__(
+        self,
+        config: SimConfig,
+        *,
+        physics: GimbalPhysics,
+        boot_ms: Callable[[], int],
+        airframe_state: Callable[[], AirframeState],
+        to_device: Callable[[Message], None] | None,
+        changed: Callable[[Message], None],
+    ) -> None:
+        self._config = config
+        self._physics = physics
+        self._boot_ms = boot_ms
+        self._airframe_state = airframe_state
+        self._to_device = to_device
+        self._changed = changed
+        self._target = Target()
+        self._device_flags = 0
+        self._reported: tuple[float, ...] | None = None
+        self._device_rates: tuple[float, float, float] = (NAN, NAN, NAN)
+        self.primary = (0, 0)
+
+    @property
+    def _is_px4(self) -> bool:
+        return self._config.autopilot == "px4"
+
+    @property
+    def device_id(self) -> int:
+        """The gimbal's number in the manager's messages."""
+        return int(mavlink.MAV_COMP_ID_GIMBAL) if self._is_px4 and self._to_device else 1
+
+    def forget(self) -> None:
+        """The autopilot restarts: nobody is in control, the gimbal looks ahead."""
+        self.primary = (0, 0)
+        self._target = Target()
+        self._reported = None
+        self.send_target()
+
+    def command(self, command: Command) -> int:
+        """DO_GIMBAL_MANAGER_PITCHYAW and DO_GIMBAL_MANAGER_CONFIGURE; MAV_RESULT."""
+        if int(command.params[6]) not in (0, self.device_id):
+            return int(mavlink.MAV_RESULT_FAILED)
+        if command.id == mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE:
+            return self._configure(command)
+        if self._is_px4 and self.primary != command.sender:
+            return int(mavlink.MAV_RESULT_DENIED)
+        pitch, yaw, pitch_rate, yaw_rate = command.params[:4]
+        flags = int(command.params[4])
+        return self._point(pitch, yaw, pitch_rate, yaw_rate, flags)
+
+    def set_pitchyaw(self, message: Message) -> None:
+        """GIMBAL_MANAGER_SET_PITCHYAW (287): as the command, in radians, without an answer."""
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        if not self._is_px4 or self.primary == sender:
+            angles = (math.degrees(a) for a in (message.pitch, message.yaw, message.pitch_rate, message.yaw_rate))
+            pitch, yaw, pitch_rate, yaw_rate = angles
+            self._point(pitch, yaw, pitch_rate, yaw_rate, message.flags)
+
+    def set_attitude(self, message: Message) -> None:
+        """GIMBAL_MANAGER_SET_ATTITUDE (282); ArduPilot makes pitch and yaw of the quaternion, so does this."""
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        if self._is_px4 and self.primary != sender:
+            return
+        if all(math.isfinite(part) for part in message.q):
+            w, x, y, z = message.q
+            pitch = math.degrees(math.asin(min(max(2 * (w * y - z * x), -1.0), 1.0)))
+            yaw = math.degrees(math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+            self._point(pitch, yaw, NAN, NAN, message.flags)
+        else:
+            pitch_rate, yaw_rate = message.angular_velocity_y, message.angular_velocity_z
+            self._point(NAN, NAN, math.degrees(pitch_rate), math.degrees(yaw_rate), message.flags)
+
+    def _configure(self, command: Command) -> int:
+        system, component = command.params[0], command.params[1]
+        before = self.primary
+        if math.isnan(system) or not -3 <= system <= 255 or not -3 <= component <= 255:
+            return int(mavlink.MAV_RESULT_FAILED)
+        if system == -2:
+            self.primary = command.sender
+        elif system == -3:
+            if self.primary == command.sender:
+                self.primary = (0, 0)
+        elif system >= 0:
+            self.primary = (int(system), int(component))
+        if self.primary != before:
+            self._changed(self.status())
+        return int(mavlink.MAV_RESULT_ACCEPTED)
+
+    def _point(self, pitch: float, yaw: float, pitch_rate: float, yaw_rate: float, flags: int) -> int:
+        """Angles or rates, degrees; MAV_RESULT."""
+        limits = self._physics.config.pitch
+        if flags & _AHEAD:
+            self._target = Target()
+        elif not (math.isnan(pitch) or math.isnan(yaw)):
+            # beyond the limits: accepted and cut, nobody is told
+            pitch = min(max(pitch, limits.min_deg), limits.max_deg)
+            self._target = Target(pitch_deg=pitch, yaw_deg=yaw, yaw_lock=bool(flags & _LOCK_YAW))
+        elif not (math.isnan(pitch_rate) or math.isnan(yaw_rate)):
+            self._target = Target(yaw_lock=bool(flags & _LOCK_YAW), rates=Rates(yaw_rate, 0.0, pitch_rate))
+        elif not (math.isnan(pitch_rate) and math.isnan(yaw_rate) and math.isnan(pitch) and math.isnan(yaw)):
+            return int(mavlink.MAV_RESULT_FAILED)
+        self.send_target()
+        return int(mavlink.MAV_RESULT_ACCEPTED)
+
+    def steal(self, station: tuple[int, int]) -> None:
+        """Another station takes control and points the gimbal ahead (fault)."""
+        self.primary = station
+        self._target = Target()
+        self.send_target()
+        self._changed(self.status())
+
+    def send_target(self) -> None:
+        """Tell the device where to point: GIMBAL_DEVICE_SET_ATTITUDE (284), or the servos directly."""
+        target = self._target
+        if self._to_device is None:
+            self._physics.command(target)
+            return
+        lock = target.yaw_lock
+        flags = (_LEVEL | mavlink.GIMBAL_DEVICE_FLAGS_YAW_LOCK) if lock else 0
+        rates = target.rates
+        q = (NAN,) * 4 if rates else quaternion(Angles(target.yaw_deg, target.roll_deg, target.pitch_deg))
+        speed = (
+            (math.radians(rates.roll_deg_s), math.radians(rates.pitch_deg_s), math.radians(rates.yaw_deg_s))
+            if rates
+            else (NAN, NAN, NAN)
+        )
+        self._to_device(
+            mavlink.MAVLink_gimbal_device_set_attitude_message(
+                self._config.system_id, mavlink.MAV_COMP_ID_GIMBAL, flags, q, *speed
+            )
+        )
+
+    def device_reported(self, message: Message) -> None:
+        """The device's own GIMBAL_DEVICE_ATTITUDE_STATUS (285)."""
+        self._reported = tuple(message.q)
+
+    def attitude_status(self) -> Message | None:
+        """GIMBAL_DEVICE_ATTITUDE_STATUS under the autopilot's name: the device's last, or the servos' demand."""
+        q = self._reported if self._to_device is not None else self._demanded()
+        if q is None:
+            return None
+        flags = _LEVEL | mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
+        if self._target.yaw_lock:
+            flags |= mavlink.GIMBAL_DEVICE_FLAGS_YAW_LOCK
+        return mavlink.MAVLink_gimbal_device_attitude_status_message(
+            0, 0, self._boot_ms(), flags, q, NAN, NAN, NAN, 0, NAN, NAN, self.device_id
+        )
+
+    def _demanded(self) -> tuple[float, ...]:
+        """The servo angles that keep the camera where it shall point, relative to the *airframe*: no feedback."""
+        target, state = self._target, self._airframe_state()
+        # the servo mount has no rate of its own to report: while it turns at a rate it demands where it is
+        physics = self._physics.estimate
+        pitch = physics.pitch_deg if target.rates else target.pitch_deg
+        yaw = (physics.yaw_deg if target.rates else target.yaw_deg) - (
+            self._physics.nose_deg if target.yaw_lock or target.rates else 0.0
+        )
+        if not self._physics.config.pans:
+            yaw = 0.0
+        bearing = math.radians(yaw)
+        lean_roll = state.roll_deg * math.cos(bearing) + state.pitch_deg * math.sin(bearing)
+        lean_pitch = state.pitch_deg * math.cos(bearing) - state.roll_deg * math.sin(bearing)
+        return _euler_quaternion(-lean_roll, pitch - lean_pitch, yaw)
+
+    def information(self) -> Message:
+        """GIMBAL_MANAGER_INFORMATION (280): limits in radians."""
+        c = self._physics.config
+        yaw = (-180.0, 180.0) if c.yaw_endless else (c.yaw.min_deg, c.yaw.max_deg)
+        limits = (c.roll.min_deg, c.roll.max_deg, c.pitch.min_deg, c.pitch.max_deg, *yaw)
+        return mavlink.MAVLink_gimbal_manager_information_message(
+            self._boot_ms(),
+            _CAPABILITIES if c.pans else _CAPABILITIES & ~_PAN,
+            self.device_id,
+            *(math.radians(limit) for limit in limits),
+        )
+
+    def status(self) -> Message:
+        """GIMBAL_MANAGER_STATUS (281)."""
+        flags = _LEVEL | (_LOCK_YAW if self._is_px4 and self._target.yaw_lock else 0)
+        return mavlink.MAVLink_gimbal_manager_status_message(
+            self._boot_ms(), flags, self.device_id, *self.primary, 0, 0
+        )
+
+
+def _euler_quaternion(roll_deg: float, pitch_deg: float, yaw_deg: float) -> tuple[float, ...]:
+    """`[w, x, y, z]` of the 3-2-1 angles that autopilots use."""
+    half = math.pi / 360
+    cr, sr = math.cos(roll_deg * half), math.sin(roll_deg * half)
+    cp, sp = math.cos(pitch_deg * half), math.sin(pitch_deg * half)
+    cy, sy = math.cos(yaw_deg * half), math.sin(yaw_deg * half)
+    return (
+        cy * cp * cr + sy * sp * sr,
+        cy * cp * sr - sy * sp * cr,
+        sy * cp * sr + cy * sp * cr,
+        sy * cp * cr - cy * sp * sr,
+    )

@@ -1,0 +1,50 @@
+"""The few autopilot parameters that concern the payload, for programs that read them (PARAM_* messages)."""
+
+from __future__ import annotations
+
+from panoexec.sim.config import SimConfig
+from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.mavlink.wire import Message
+
+_REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
+
+
+class Parameters:
+    """Reads, lists and sets parameters; a change of value has no effect on the simulation."""
+
+    def __init__(self, config: SimConfig) -> None:
+        gimbal = config.gimbal
+        if config.autopilot == "ardupilot":
+            self._values: dict[str, float] = {
+                "SYSID_THISMAV": config.system_id,
+                "MNT1_TYPE": 6 if config.mount == "mavlink" else 1,
+                "MNT1_PITCH_MIN": gimbal.pitch.min_deg,
+                "MNT1_PITCH_MAX": gimbal.pitch.max_deg,
+                "MNT1_YAW_MIN": gimbal.yaw.min_deg,
+                "MNT1_YAW_MAX": gimbal.yaw.max_deg,
+                "MNT1_RC_RATE": 0.0,
+                "CAM1_TYPE": 0 if config.camera_kind == "mavlink" else 1,
+                "CAM1_FEEDBAK_PIN": -1.0,
+            }
+        else:
+            self._values = {"MAV_SYS_ID": config.system_id, "MNT_MODE_IN": 4, "MNT_MODE_OUT": 2}
+
+    def answers(self, message: Message) -> list[Message]:
+        """What to send in answer to a PARAM_REQUEST_READ, PARAM_REQUEST_LIST or PARAM_SET; nothing to others."""
+        kind = message.get_type()
+        if kind == "PARAM_REQUEST_LIST":
+            return [self._value(name) for name in self._values]
+        if kind == "PARAM_REQUEST_READ":
+            names = list(self._values)
+            name = message.param_id
+            if 0 <= message.param_index < len(names):
+                name = names[message.param_index]
+            return [self._value(name)] if name in self._values else []
+        if kind == "PARAM_SET" and message.param_id in self._values:
+            self._values[message.param_id] = message.param_value
+            return [self._value(message.param_id)]
+        return []
+
+    def _value(self, name: str) -> Message:
+        index = list(self._values).index(name)
+        return mavlink.MAVLink_param_value_message(name.encode(), self._values[name], _REAL32, len(self._values), index)

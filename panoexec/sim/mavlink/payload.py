@@ -1,0 +1,63 @@
+"""The payload on the wire: a MAVLink gimbal (component 154) and a MAVLink camera (component 100) that share one link.
+
+It neither knows nor cares whether the autopilot at the other end is the embedded one or a real ArduPilot with
+`MNT1_TYPE` 6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from panoexec.sim.config import SimConfig
+from panoexec.sim.faults import Faults
+from panoexec.sim.mavlink.camera_component import CameraComponent, Fix
+from panoexec.sim.mavlink.gimbal_component import GimbalComponent
+from panoexec.sim.mavlink.released_camera import ReleasedCamera
+from panoexec.sim.mavlink.wire import Link, Message
+from panoexec.sim.physics.camera import Exposure
+from panoexec.sim.physics.gimbal import GimbalPhysics
+from panoexec.sim.physics.world import SimClock, Timeline
+
+
+class Payload:
+    """Gimbal and camera on one link.
+
+    Attributes:
+        gimbal: component 154.
+        camera: component 100.
+        released: instead of that, a camera that an autopilot triggers without a word to it; None where there is none.
+    """
+
+    def __init__(
+        self,
+        config: SimConfig,
+        *,
+        clock: SimClock,
+        timeline: Timeline,
+        physics: GimbalPhysics,
+        faults: Faults,
+        link: Link,
+        develop: Callable[[Exposure, Fix], str],
+    ) -> None:
+        self.gimbal = GimbalComponent(config, timeline=timeline, physics=physics, faults=faults, link=link)
+        self.released: ReleasedCamera | None = None
+        if config.camera_kind == "servo" and config.attach_url is not None:
+            self.released = ReleasedCamera(config, timeline=timeline, physics=physics, faults=faults, develop=develop)
+        self.camera = CameraComponent(
+            config, clock=clock, timeline=timeline, gimbal=self.gimbal, faults=faults, link=link, develop=develop
+        )
+
+    def start(self) -> None:
+        """Start heartbeats and streams."""
+        self.gimbal.start()
+        if self.released is None:
+            self.camera.start()
+
+    def receive(self, message: Message, frame: bytes) -> None:
+        """Take one message from the link."""
+        del frame
+        self.gimbal.receive(message)
+        if self.released is None:
+            self.camera.receive(message)
+        else:
+            self.released.receive(message)

@@ -1,0 +1,167 @@
+"""A camera on a servo or relay of the autopilot (ArduPilot's CAM1_TYPE 1): no name, no size, no proof but a count.
+
+It answers as component 1: CAMERA_INFORMATION without contents, and CAMERA_FEEDBACK (180) at the trigger, with the
+vehicle's attitude. Photos are exposed and developed all the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from panoexec.sim.config import SimConfig
+from panoexec.sim.faults import Faults
+from panoexec.sim.mavlink.camera_component import Fix, PhotoCommand, look_at, slip_if_drifting
+from panoexec.sim.mavlink.component import NAN, Builder, Command
+from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.mavlink.wire import Message
+from panoexec.sim.physics.airframe import Airframe
+from panoexec.sim.physics.camera import CameraModel, Exposure
+from panoexec.sim.physics.gimbal import GimbalPhysics
+from panoexec.sim.physics.world import SimClock, Timeline
+
+
+class CameraTrigger:
+    """Closes a contact and says so.
+
+    Attributes:
+        commands: the commands that it answers.
+        model: the camera at the other end of the wire.
+    """
+
+    commands = frozenset(
+        {
+            mavlink.MAV_CMD_IMAGE_START_CAPTURE,
+            mavlink.MAV_CMD_IMAGE_STOP_CAPTURE,
+            mavlink.MAV_CMD_DO_DIGICAM_CONTROL,
+        }
+    )
+
+    def __init__(
+        self,
+        config: SimConfig,
+        *,
+        clock: SimClock,
+        timeline: Timeline,
+        physics: GimbalPhysics,
+        faults: Faults,
+        develop: Callable[[Exposure, Fix], str],
+    ) -> None:
+        self._clock = clock
+        self._timeline = timeline
+        self._physics = physics
+        self._faults = faults
+        self._develop = develop
+        self._count = 0
+        self._last_photo: PhotoCommand | None = None
+        self._last_feedback = mavlink.MAVLink_camera_feedback_message(*(0,) * 13, 0)
+        self._boot_ms: Callable[[], int] = lambda: 0
+        self._airframe: Airframe | None = None
+        self._send: Callable[[Message], None] = lambda _: None
+        self.model = CameraModel(
+            config.camera, timeline, look=lambda: look_at(physics, timeline.now_s), on_exposed=self._exposed
+        )
+
+    def connect(self, *, boot_ms: Callable[[], int], airframe: Airframe, send: Callable[[Message], None]) -> None:
+        """Join it to its autopilot."""
+        self._boot_ms, self._airframe, self._send = boot_ms, airframe, send
+
+    def builders(self) -> dict[int, Builder]:
+        """The messages that the autopilot answers on its behalf."""
+        return {
+            mavlink.MAVLINK_MSG_ID_CAMERA_INFORMATION: self._information,
+            mavlink.MAVLINK_MSG_ID_CAMERA_SETTINGS: self._settings,
+            mavlink.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS: self._capture_status,
+            mavlink.MAVLINK_MSG_ID_CAMERA_FEEDBACK: lambda: self._last_feedback,
+        }
+
+    def command(self, command: Command) -> int | None:
+        """Trigger; accepted whether or not a photo comes of it."""
+        accepted = int(mavlink.MAV_RESULT_ACCEPTED)
+        if command.id == mavlink.MAV_CMD_DO_DIGICAM_CONTROL and command.params[4] < 0.5:
+            return accepted
+        if command.id not in (mavlink.MAV_CMD_IMAGE_START_CAPTURE, mavlink.MAV_CMD_DO_DIGICAM_CONTROL):
+            return accepted
+        now, last = self._timeline.now_s, self._last_photo
+        if last is not None and last.is_repeated_by(command, (now - last.sent_s) / self._clock.speedup):
+            self._last_photo = replace(last, sent_s=now, repeats=last.repeats + 1)
+            return last.result
+        self._faults.photo_commanded(now)
+        result = self._trigger()
+        self._last_photo = PhotoCommand(command=command, sent_s=now, result=result)
+        return result
+
+    def _trigger(self) -> int | None:
+        if self._faults.photo("photo-lost"):
+            return None
+        if self._faults.photo("photo-refused"):
+            return int(mavlink.MAV_RESULT_DENIED)
+        self._count += 1
+        self.model.shoot()
+        slip_if_drifting(self._faults, self._physics)
+        if not self._faults.photo("capture-lost"):
+            message = self._last_feedback = self._feedback()
+            self._send(message)
+            if self._faults.photo("capture-twice"):
+                self._timeline.after(0.2, lambda: self._send(message))
+        return int(mavlink.MAV_RESULT_ACCEPTED)
+
+    def _feedback(self) -> Message:
+        assert self._airframe is not None
+        position, state = self._airframe.position(), self._airframe.state()
+        yaw = (state.yaw_deg + self._physics.heading_error_deg) % 360
+        return mavlink.MAVLink_camera_feedback_message(
+            round(self._clock.utc(self._timeline.now_s) * 1e6),
+            0,
+            0,
+            self._count,
+            round(position.latitude_deg * 1e7),
+            round(position.longitude_deg * 1e7),
+            position.altitude_m,
+            position.relative_altitude_m,
+            state.roll_deg,
+            state.pitch_deg,
+            yaw,
+            0.0,
+            mavlink.CAMERA_FEEDBACK_PHOTO,
+            self._count,
+        )
+
+    def _exposed(self, exposure: Exposure) -> None:
+        assert self._airframe is not None
+        position = self._airframe.position()
+        self._develop(
+            exposure,
+            Fix(
+                latitude_deg=position.latitude_deg,
+                longitude_deg=position.longitude_deg,
+                altitude_m=position.altitude_m,
+                relative_altitude_m=position.relative_altitude_m,
+                heading_deg=math.nan,
+            ),
+        )
+
+    def _information(self) -> Message:
+        return mavlink.MAVLink_camera_information_message(
+            self._boot_ms(),
+            [0] * 32,
+            [0] * 32,
+            0,
+            NAN,
+            NAN,
+            NAN,
+            0,
+            0,
+            0,
+            0,
+            0,
+            b"",
+            gimbal_device_id=1,
+        )
+
+    def _settings(self) -> Message:
+        return mavlink.MAVLink_camera_settings_message(self._boot_ms(), mavlink.CAMERA_MODE_IMAGE, NAN, NAN)
+
+    def _capture_status(self) -> Message:
+        return mavlink.MAVLink_camera_capture_status_message(self._boot_ms(), 0, 0, 0.0, 0, NAN, self._count)

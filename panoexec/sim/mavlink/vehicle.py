@@ -1,0 +1,331 @@
+"""The embedded autopilot: one MAVLink component (1) between the ground and the payload, with a real one's habits.
+
+Like ArduPilot it routes: what the payload broadcasts goes to the ground and the other way round; what is addressed goes
+where the addressee was heard. It streams nothing until asked (PX4: a few messages by itself) and forgets all that was
+asked when it restarts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from panoexec.sim.config import SimConfig
+from panoexec.sim.faults import Faults
+from panoexec.sim.mavlink.component import Command, Component, command_of
+from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.mavlink.manager import GimbalManager
+from panoexec.sim.mavlink.modes import ModeBook
+from panoexec.sim.mavlink.parameters import Parameters
+from panoexec.sim.mavlink.telemetry import Telemetry
+from panoexec.sim.mavlink.trigger import CameraTrigger
+from panoexec.sim.mavlink.wire import Link, Message, Sender
+from panoexec.sim.physics.airframe import Airframe
+from panoexec.sim.physics.gimbal import GimbalPhysics
+from panoexec.sim.physics.world import Repeater, SimClock, Timeline
+
+COMPONENT_ID = mavlink.MAV_COMP_ID_AUTOPILOT1
+THIEF = (255, 190)
+"""System and component of the other ground station that takes the gimbal (fault `control-stolen`)."""
+
+_PX4_STREAMS = {
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: 50.0,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 1.0,
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
+    mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_STATUS: 5.0,
+}
+_ACCEPTED = int(mavlink.MAV_RESULT_ACCEPTED)
+_DENIED = int(mavlink.MAV_RESULT_DENIED)
+_REBOOT_S = 3.0
+_TO_DEVICE_S = {"ardupilot": 0.02, "px4": 0.1}
+_STATE_FOR_GIMBAL_US = 20_000
+
+
+class Vehicle:
+    """Autopilot, gimbal manager and router.
+
+    Attributes:
+        airframe: what flies.
+        manager: the gimbal manager.
+        modes: flight modes.
+    """
+
+    def __init__(
+        self,
+        config: SimConfig,
+        *,
+        clock: SimClock,
+        timeline: Timeline,
+        airframe: Airframe,
+        physics: GimbalPhysics,
+        faults: Faults,
+        ground: Link,
+        payload: Link,
+        trigger: CameraTrigger | None,
+    ) -> None:
+        self._config = config
+        self._timeline = timeline
+        self._faults = faults
+        self._sender = Sender(config.system_id, COMPONENT_ID)
+        self._heading_error_deg: Callable[[], float] = lambda: physics.heading_error_deg
+        self._boot_s = 0.0
+        self._silent_until_s = -math.inf
+        self.airframe = airframe
+        self.modes = ModeBook(config.autopilot)
+        self._links = {"ground": ground, "payload": payload}
+        self._ground_gate = _Gate(ground, self)
+        self._ground_heard = False  # nothing is forwarded to where nobody was heard
+        self._telemetry = Telemetry(
+            config,
+            clock=clock,
+            now=lambda: timeline.now_s,
+            boot_ms=self.boot_ms,
+            airframe=airframe,
+            heading_error_deg=self._heading_error_deg,
+            modes=self.modes,
+        )
+        self._ground = self._component(ground)
+        self._payload = self._component(payload)
+        self.manager = GimbalManager(
+            config,
+            physics=physics,
+            boot_ms=self.boot_ms,
+            airframe_state=airframe.state,
+            to_device=self._payload.send if config.mount == "mavlink" else None,
+            changed=self._ground.send,
+        )
+        self._trigger = trigger
+        if trigger is not None:
+            trigger.connect(boot_ms=self.boot_ms, airframe=airframe, send=self._ground.send)
+        for component in (self._ground, self._payload):
+            component.builders.update(self._telemetry.builders())
+            component.builders.update(self._gimbal_builders())
+            if trigger is not None:
+                component.builders.update(trigger.builders())
+        self._parameters = Parameters(config)
+        self._target_repeater = Repeater(timeline, self.manager.send_target)
+
+    def _component(self, link: Link) -> Component:
+        gate = _Gate(link, self)
+        return Component(timeline=self._timeline, sender=self._sender, link=gate, heartbeat=self._telemetry.heartbeat)
+
+    def _gimbal_builders(self) -> dict[int, Callable[[], Message | None]]:
+        def attitude() -> Message | None:
+            if self._faults.active("attitude-stop", self._timeline.now_s):
+                return None
+            return self.manager.attitude_status()
+
+        return {
+            mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION: self.manager.information,
+            mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_STATUS: self.manager.status,
+            mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: attitude,
+        }
+
+    def boot_ms(self) -> int:
+        """Milliseconds since the autopilot's last start."""
+        return max(0, round((self._timeline.now_s - self._boot_s) * 1000))
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether it is restarting."""
+        return self._timeline.now_s < self._silent_until_s
+
+    def start(self) -> None:
+        """Start heartbeats and what is sent unasked."""
+        self._ground.start(phase_s=0.0)
+        self._payload.start(phase_s=0.1)
+        self._start_streams()
+
+    def _start_streams(self) -> None:
+        if self._config.mount == "mavlink":
+            self._payload.streams.set_interval(
+                mavlink.MAVLINK_MSG_ID_AUTOPILOT_STATE_FOR_GIMBAL_DEVICE, _STATE_FOR_GIMBAL_US
+            )
+            self._target_repeater.start(_TO_DEVICE_S[self._config.autopilot])
+        if self._config.autopilot == "px4":
+            for message_id, rate_hz in _PX4_STREAMS.items():
+                self._ground.streams.set_interval(message_id, 1e6 / rate_hz)
+
+    def reboot(self, silence_s: float) -> None:
+        """Restart: silent, then as new; it stays in the air, which no real one would."""
+        self._silent_until_s = self._timeline.now_s + silence_s
+        for component in (self._ground, self._payload):
+            component.streams.clear()
+        self._target_repeater.stop()
+
+        def up() -> None:
+            self._boot_s = self._timeline.now_s
+            self._ground_heard = False
+            self.manager.forget()
+            self._start_streams()
+
+        self._timeline.at(self._silent_until_s, up)
+
+    def receive_ground(self, message: Message, frame: bytes) -> None:
+        """Take one message from the ground."""
+        if self.is_silent or self._faults.active("link-loss", self._timeline.now_s):
+            return
+        if message.get_srcSystem() == self._config.system_id and message.get_srcComponent() == COMPONENT_ID:
+            return
+        self._ground_heard = True
+        target = getattr(message, "target_component", 0)
+        if getattr(message, "target_system", 0) in (0, self._config.system_id):
+            if target != COMPONENT_ID:
+                self._links["payload"].send(frame, message)
+            if target in (0, COMPONENT_ID):
+                self._handle(self._ground, message)
+
+    def receive_payload(self, message: Message, frame: bytes) -> None:
+        """Take one message from the payload's link."""
+        if self.is_silent:
+            return
+        target = getattr(message, "target_component", 0)
+        if target != COMPONENT_ID and self._ground_heard:
+            self._ground_gate.send(frame, message)
+        if target in (0, COMPONENT_ID):
+            self._handle(self._payload, message)
+
+    def link_is_lost(self) -> bool:
+        """Whether nothing passes to the ground (fault)."""
+        return self._faults.active("link-loss", self._timeline.now_s)
+
+    def is_ground(self, link: Link) -> bool:
+        """Whether a link leads to the ground."""
+        return link is self._links["ground"]
+
+    def _handle(self, source: Component, message: Message) -> None:
+        kind = message.get_type()
+        if kind == "GIMBAL_DEVICE_ATTITUDE_STATUS":
+            self.manager.device_reported(message)
+        elif kind in ("COMMAND_LONG", "COMMAND_INT"):
+            command = command_of(message)
+            assert command is not None
+            if source.is_for_me(message):
+                result = self._command(source, command)
+                if result is not None:
+                    source.acknowledge(command, result)
+        elif kind == "GIMBAL_MANAGER_SET_PITCHYAW":
+            self.manager.set_pitchyaw(message)
+        elif kind == "GIMBAL_MANAGER_SET_ATTITUDE":
+            self.manager.set_attitude(message)
+        elif kind == "TIMESYNC":
+            if message.tc1 == 0:
+                source.send(mavlink.MAVLink_timesync_message(self.boot_ms() * 1_000_000, message.ts1))
+        else:
+            for answer in self._parameters.answers(message):
+                source.send(answer)
+
+    def _command(self, source: Component, command: Command) -> int | None:
+        """Do what a command says; MAV_RESULT, None for no answer."""
+        unknown = mavlink.MAV_RESULT_FAILED if self._config.autopilot == "ardupilot" else mavlink.MAV_RESULT_UNSUPPORTED
+        common = source.common_command(command, unknown_message=unknown)
+        if common is not None:
+            return common
+        if command.id in (mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE):
+            return self.manager.command(command)
+        if self._trigger is not None and command.id in self._trigger.commands:
+            return self._trigger.command(command)
+        return self._flight_command(command)
+
+    def _flight_command(self, command: Command) -> int:
+        actions: dict[int, Callable[[Command], int]] = {
+            mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
+            mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
+            mavlink.MAV_CMD_NAV_LAND: self._land,
+            mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
+            mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._capabilities,
+            mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._reboot_command,
+            mavlink.MAV_CMD_IMAGE_START_CAPTURE: self._no_camera,
+        }
+        if self._config.autopilot == "ardupilot":
+            actions[mavlink.MAV_CMD_CONDITION_YAW] = self._condition_yaw
+        else:
+            actions[mavlink.MAV_CMD_DO_REPOSITION] = self._reposition
+        action = actions.get(command.id)
+        return int(mavlink.MAV_RESULT_UNSUPPORTED) if action is None else action(command)
+
+    def _arm(self, command: Command) -> int:
+        return _ACCEPTED if self.airframe.arm(command.params[0] > 0.5) else _DENIED
+
+    def _take_off(self, command: Command) -> int:
+        # ArduPilot: metres above home; PX4: above sea level
+        height = command.params[6]
+        if self._config.autopilot == "px4":
+            height -= self._config.airframe.home_altitude_m
+        if math.isnan(height):
+            height = self._config.airframe.height_m
+        return _ACCEPTED if self.airframe.take_off(height) else _DENIED
+
+    def _land(self, command: Command) -> int:
+        del command
+        self.modes.set(self.modes.land_mode)
+        self.airframe.land()
+        return _ACCEPTED
+
+    def _set_mode(self, command: Command) -> int:
+        if not self.modes.set_from_command(command.params[1], command.params[2]):
+            return _DENIED
+        if self.modes.is_landing:
+            self.airframe.land()
+        return _ACCEPTED
+
+    def _condition_yaw(self, command: Command) -> int:
+        """ArduCopter: accepted in every mode, obeyed in those that fly by themselves."""
+        heading_deg, rate_deg_s, direction, relative = command.params[:4]
+        if not 0 <= heading_deg <= 360 or relative not in {0.0, 1.0}:
+            return int(mavlink.MAV_RESULT_FAILED)
+        if self.modes.is_guided:
+            way = 1 if direction > 0 else -1 if direction < 0 else 0
+            if relative:
+                heading_deg = self.airframe.true_yaw_deg() + (heading_deg if way >= 0 else -heading_deg)
+            else:
+                heading_deg -= self._heading_error_deg()
+            self.airframe.turn_to(heading_deg, rate_deg_s=rate_deg_s, direction=way)
+        return _ACCEPTED
+
+    def _reposition(self, command: Command) -> int:
+        """PX4: only with the wish for its hold mode, which it then flies; of the place it takes the heading alone."""
+        if int(command.params[1]) != 1:
+            return int(mavlink.MAV_RESULT_UNSUPPORTED)
+        self.modes.set("LOITER")
+        if math.isfinite(command.params[3]):
+            self.airframe.turn_to(math.degrees(command.params[3]) - self._heading_error_deg())
+        return _ACCEPTED
+
+    def _capabilities(self, command: Command) -> int:
+        del command
+        return self._ground.request(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+
+    def _no_camera(self, command: Command) -> int:
+        del command
+        ardupilot = self._config.autopilot == "ardupilot"
+        return int(mavlink.MAV_RESULT_FAILED if ardupilot else mavlink.MAV_RESULT_UNSUPPORTED)
+
+    def _reboot_command(self, command: Command) -> int:
+        del command
+        self._timeline.after(0.1, lambda: self.reboot(_REBOOT_S))
+        return _ACCEPTED
+
+    def say(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:
+        """STATUSTEXT (253) to the ground, at most 50 characters."""
+        self._ground.send(mavlink.MAVLink_statustext_message(severity, text.encode()[:50]))
+
+
+class _Gate:
+    """A link of the vehicle through which nothing goes while it restarts or while the radio is out."""
+
+    def __init__(self, link: Link, vehicle: Vehicle) -> None:
+        self.name = link.name
+        self._link = link
+        self._vehicle = vehicle
+
+    def send(self, frame: bytes, message: Message) -> None:
+        """See `Link.send`."""
+        vehicle = self._vehicle
+        if vehicle.is_silent or (vehicle.is_ground(self._link) and vehicle.link_is_lost()):
+            return
+        self._link.send(frame, message)

@@ -1,0 +1,218 @@
+"""Develops the simulated camera's photos in a process of its own, so that rendering never delays a message.
+
+`Darkroom` is the client, inside the simulator's event loop; `python -m panoexec.sim.photos.darkroom` is the worker: one
+JSON object a line in (a job), one out (its result); it ends when its standard input ends, however its parent died.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import json
+import os
+import signal
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from panoexec.errors import DeviceError, PanoexecError, UsageError
+from panoexec.optics import Camera
+
+_NICENESS = 5
+_LINE_LIMIT = 1 << 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Negative:
+    """An exposed photo, ready to be developed.
+
+    Attributes:
+        path: where the JPEG goes.
+        truth_deg: true (yaw, roll, pitch) of the camera, evenly spaced over the exposure.
+        q_wxyz: attitude as the camera was told, to north; goes into the JPEG's metadata.
+        time_utc_s: start of the exposure.
+        exposure_s: shutter time.
+        position: (latitude, longitude, altitude, altitude above home) in degrees and metres, None without a fix.
+        flight_yaw_deg: the vehicle's heading, None if not known.
+    """
+
+    path: str
+    truth_deg: tuple[tuple[float, float, float], ...]
+    q_wxyz: tuple[float, float, float, float]
+    time_utc_s: float
+    exposure_s: float
+    position: tuple[float, float, float, float] | None
+    flight_yaw_deg: float | None
+
+
+class Darkroom:
+    """Sends negatives to the worker and keeps count.
+
+    Attributes:
+        written: photos on disk.
+        pending: photos not yet on disk.
+        failures: what went wrong, one line each.
+    """
+
+    def __init__(self, camera: Camera, width_px: int, *, scene: Path | None, seed: int) -> None:
+        self._setup = {
+            "camera": dataclasses.asdict(camera),
+            "width_px": width_px,
+            "scene": str(scene) if scene else None,
+            "seed": seed,
+        }
+        self._process: asyncio.subprocess.Process | None = None
+        self._idle = asyncio.Event()
+        self._idle.set()
+        self.written = 0
+        self.pending = 0
+        self.failures: list[str] = []
+
+    async def start(self) -> None:
+        """Start the worker; wait for it only if the scene is a file, which may be none.
+
+        Raises:
+            UsageError: the scene is no equirectangular image; the message names it.
+        """
+        self._process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-m",
+            "panoexec.sim.photos.darkroom",
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            limit=_LINE_LIMIT,
+        )
+        self._send(self._setup)
+        if self._setup["scene"] is not None:
+            first = json.loads(await self._stdout().readline() or '{"error": "the renderer did not start"}')
+            if error := first.get("error"):
+                await self.close()
+                raise UsageError(error)
+
+    def develop(self, negative: Negative) -> None:
+        """Queue one photo; returns at once."""
+        self.pending += 1
+        self._idle.clear()
+        self._send(dataclasses.asdict(negative))
+
+    def _stdout(self) -> asyncio.StreamReader:
+        assert self._process is not None
+        assert self._process.stdout is not None
+        return self._process.stdout
+
+    def _send(self, document: dict[str, Any]) -> None:
+        assert self._process is not None
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps(document).encode() + b"\n")
+
+    async def run(self) -> None:
+        """Read the worker's results until cancelled.
+
+        Raises:
+            DeviceError: the worker ended by itself.
+        """
+        while line := await self._stdout().readline():
+            result = json.loads(line)
+            if "path" not in result:
+                if error := result.get("error"):
+                    raise UsageError(error)
+                continue
+            if error := result.get("error"):
+                self.failures.append(error)
+            else:
+                self.written += 1
+            self.pending -= 1
+            if self.pending <= 0:
+                self._idle.set()
+        raise DeviceError(f"the simulated camera's renderer has ended; {self.pending} photos were not written")
+
+    async def drain(self, timeout_s: float) -> bool:
+        """Wait until every photo is on disk (`run` must be running); False if that took longer than `timeout_s`."""
+        try:
+            async with asyncio.timeout(timeout_s):
+                await self._idle.wait()
+        except TimeoutError:
+            return False
+        return True
+
+    async def close(self) -> None:
+        """End the worker and wait for it."""
+        process = self._process
+        if process is None or process.returncode is not None:
+            return
+        assert process.stdin is not None
+        process.stdin.close()
+        try:
+            async with asyncio.timeout(3.0):
+                await process.wait()
+        except TimeoutError:
+            process.kill()
+            await process.wait()
+
+
+def _work() -> None:
+    """The worker: develop jobs from standard input until it ends."""
+    os.nice(_NICENESS)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides when this ends
+    first = sys.stdin.readline()
+    if not first:
+        return
+    setup = json.loads(first)
+    try:
+        renderer = _renderer(setup)
+    except PanoexecError as error:
+        _answer({"error": str(error)})
+        return
+    _answer({"ready": True})
+    camera = Camera(**setup["camera"])
+    for line in sys.stdin:
+        job = json.loads(line)
+        started = time.monotonic()
+        try:
+            _develop(renderer, camera, setup["width_px"], job)
+        except PanoexecError as error:
+            _answer({"path": job["path"], "error": str(error)})
+        else:
+            _answer({"path": job["path"], "seconds": round(time.monotonic() - started, 4)})
+
+
+def _answer(document: dict[str, Any]) -> None:
+    print(json.dumps(document), flush=True)
+
+
+def _renderer(setup: dict[str, Any]) -> Any:
+    from panoexec.sim.photos.render import Renderer  # noqa: PLC0415  (the client needs neither the renderer nor Pillow)
+    from panoexec.sim.photos.scene import load_scene, procedural_scene  # noqa: PLC0415
+
+    return Renderer(load_scene(Path(setup["scene"])) if setup["scene"] else procedural_scene(setup["seed"]))
+
+
+def _develop(renderer: Any, camera: Camera, width_px: int, job: dict[str, Any]) -> None:
+    from panoexec.angles import rotation  # noqa: PLC0415
+    from panoexec.formats.xmp import Position  # noqa: PLC0415
+    from panoexec.sim.photos.jpeg import PhotoMetadata, write_jpeg  # noqa: PLC0415
+
+    truth = job["truth_deg"]
+    poses = rotation([t[0] for t in truth], [t[2] for t in truth], [t[1] for t in truth])
+    place = job["position"]
+    metadata = PhotoMetadata(
+        time_utc_s=job["time_utc_s"],
+        exposure_s=job["exposure_s"],
+        focal_length_mm=camera.focal_length_mm,
+        equivalent_focal_length_mm=camera.equivalent_focal_length_mm,
+        q_wxyz=tuple(job["q_wxyz"]),
+        position=Position(
+            latitude_deg=place[0], longitude_deg=place[1], altitude_m=place[2], relative_altitude_m=place[3]
+        )
+        if place
+        else None,
+        flight_yaw_deg=job["flight_yaw_deg"],
+        model=camera.name,
+    )
+    write_jpeg(Path(job["path"]), renderer.render(camera, poses, width_px), metadata)
+
+
+if __name__ == "__main__":
+    _work()

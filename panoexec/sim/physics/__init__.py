@@ -1,0 +1,1 @@
+"""Airframe, gimbal and camera as physics, stepped in simulated time."""

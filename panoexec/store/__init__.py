@@ -1,0 +1,1 @@
+"""A mission on disk: directory, journal, manifest, and the session that writes them."""

@@ -1,0 +1,327 @@
+"""The journal of a mission: its events, on disk before they are announced, so that nothing is lost with the process.
+
+One SQLite file (`journal.sqlite`) in the mission's directory, in WAL mode with synchronous FULL: what `append` returned
+from survives kill -9 and power cuts. The plan and the settings that the mission began with are kept as JSON texts. The
+file is held exclusively; a second process gets an error, not a second mission.
+
+Layout, version 1: `application_id` names the file as ours, `user_version` is the layout's version; table `head` (key,
+value), table `events` (seq, type, time_utc_s, json).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import shutil
+import sqlite3
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Self, TypeVar
+
+from panoexec import __version__
+from panoexec.errors import MissionError, UsageError
+from panoexec.mission.log.events import Event, UnknownEventError, event_from_json
+from panoexec.store.wal_check import lost_tail
+
+APPLICATION_ID = 0x50414E4F
+"""`PANO`."""
+SCHEMA_VERSION = 1
+WRITTEN_BY = "panoexec"
+"""Key of the head under which the version stands that began the mission."""
+SCHEMA = """
+CREATE TABLE head (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
+CREATE TABLE events (seq INTEGER PRIMARY KEY, type TEXT NOT NULL, time_utc_s REAL NOT NULL, json TEXT NOT NULL) STRICT;
+"""
+
+_ROOM_BYTES = 64 * 1024
+"""What SQLite needs beside a journal to read what a killed process left: 32 KiB, in pages of the disk."""
+
+T = TypeVar("T")
+
+
+class JournalFileError(UsageError):
+    """A journal that cannot be opened or made; nothing was written to it."""
+
+
+class JournalWriteError(MissionError):
+    """A journal that was open cannot be written any more; the mission must end."""
+
+    exit_code = 3
+
+
+class SqliteJournal:
+    """An open journal; use `create` or `open`, and close it (it is an asynchronous context manager).
+
+    All work is done in a thread of its own; every method may be cancelled, the work then ends by itself.
+    """
+
+    def __init__(self, path: Path, pool: ThreadPoolExecutor, connection: sqlite3.Connection) -> None:
+        self.path = path
+        self._pool = pool
+        self._connection = connection
+        stat = path.stat()
+        self._identity = (stat.st_dev, stat.st_ino)
+        self._closed = False
+
+    @classmethod
+    async def create(cls, path: Path, head: Mapping[str, str]) -> Self:
+        """Make a new journal.
+
+        Args:
+            path: a file that does not exist, in a folder that does.
+            head: what never changes: `mission_id`, `plan`, `settings`, … as texts.
+
+        Raises:
+            JournalFileError: the file exists, or cannot be made.
+        """
+        return await cls._in_thread(path, lambda: _create(path, head))
+
+    @classmethod
+    async def open(cls, path: Path) -> Self:
+        """Open a journal to go on with its mission.
+
+        Raises:
+            JournalFileError: there is none, it is damaged, of a newer version, not ours, or in use.
+        """
+        return await cls._in_thread(path, lambda: _open(path))
+
+    @classmethod
+    async def _in_thread(cls, path: Path, connect: Callable[[], sqlite3.Connection]) -> Self:
+        pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="journal")
+        try:
+            connection = await asyncio.get_running_loop().run_in_executor(pool, connect)
+        except BaseException:
+            pool.shutdown(wait=False)
+            raise
+        return cls(path, pool, connection)
+
+    async def __aenter__(self) -> Self:
+        """Itself."""
+        return self
+
+    async def __aexit__(self, *exc: object) -> None:
+        """Close."""
+        await self.close()
+
+    async def close(self) -> None:
+        """Fold what was written into the file proper and let it go; a second time does nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        await asyncio.get_running_loop().run_in_executor(self._pool, self._connection.close)
+        self._pool.shutdown(wait=False)
+
+    async def append(self, events: Sequence[Event]) -> None:
+        """Keep events, all or none; they are on disk when this returns.
+
+        Raises:
+            JournalWriteError: the disk is full, or the file has been deleted or replaced.
+        """
+        rows = [(e.seq, e.type, e.time_utc_s, json.dumps(e.to_json(), separators=(",", ":"))) for e in events]
+        await self._run(lambda: self._write(rows))
+
+    async def events(self) -> list[Event]:
+        """All events, in order.
+
+        Raises:
+            JournalFileError: one cannot be read: the journal is damaged.
+        """
+        return await self._run(lambda: _read_events(self.path, self._connection))
+
+    async def head(self) -> dict[str, str]:
+        """What the journal was created with.
+
+        Raises:
+            JournalFileError: it cannot be read: the journal is damaged.
+        """
+        return await self._run(lambda: _read_head(self.path, self._connection))
+
+    def _write(self, rows: Sequence[tuple[int, str, float, str]]) -> None:
+        try:
+            stat = self.path.stat()
+        except OSError:
+            raise JournalWriteError(f"{self.path}: the journal was deleted while the mission was running") from None
+        if (stat.st_dev, stat.st_ino) != self._identity:
+            raise JournalWriteError(f"{self.path}: the journal was replaced while the mission was running")
+        try:
+            with self._connection:
+                self._connection.executemany("INSERT INTO events VALUES (?, ?, ?, ?)", rows)
+        except sqlite3.Error as error:
+            raise JournalWriteError(f"{self.path}: the journal cannot be written ({error})") from error
+
+    async def _run(self, work: Callable[[], T]) -> T:
+        if self._closed:
+            raise JournalWriteError(f"{self.path}: the journal is closed")
+        return await asyncio.get_running_loop().run_in_executor(self._pool, work)
+
+
+def read_journal(path: Path) -> tuple[dict[str, str], list[Event]]:
+    """What a journal that nobody writes holds: its head and its events; nothing is written to it.
+
+    Raises:
+        JournalFileError: there is none, it is damaged, of a newer version, not ours, or in use.
+    """
+    if not path.is_file():
+        raise JournalFileError(f"{path}: there is no journal")
+    _check_file(path)
+    # whatever a killed process left unfolded lies beside it; without that, SQLite need not make files to read
+    beside, shared = path.with_name(path.name + "-wal"), path.with_name(path.name + "-shm")
+    how = "mode=ro" if beside.exists() and beside.stat().st_size else "mode=ro&immutable=1"
+    was_there = shared.exists()
+    try:
+        with contextlib.closing(sqlite3.connect(f"{path.absolute().as_uri()}?{how}", uri=True, timeout=1.0)) as found:
+            _check_pages(path, found)
+            return _read_head(path, found), _read_events(path, found)
+    except sqlite3.Error as error:
+        raise _unusable(path, error) from error
+    finally:
+        if not was_there:  # SQLite's index of what is unfolded; a reader that may not write does not clear it away
+            shared.unlink(missing_ok=True)
+
+
+def _create(path: Path, head: Mapping[str, str]) -> sqlite3.Connection:
+    if path.exists():
+        raise JournalFileError(f"{path}: exists already; a new mission needs a new directory")
+    try:
+        descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o644)
+        os.close(descriptor)
+        # made whole before WAL mode begins: from then on changes live in another file until they are folded in, and a
+        # journal that was killed young must still be recognised by its header
+        with contextlib.closing(sqlite3.connect(path)) as young:
+            young.execute("PRAGMA synchronous = FULL")
+            young.executescript(f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {SCHEMA_VERSION};")
+            young.executescript(f"BEGIN; {SCHEMA} COMMIT;")
+            with young:
+                young.executemany("INSERT INTO head VALUES (?, ?)", list(head.items()))
+        _sync_folder(path.parent)
+        connection = _connect(path)
+    except OSError as error:
+        raise JournalFileError(f"{path}: cannot be made ({error.strerror})") from error
+    except sqlite3.Error as error:
+        raise JournalFileError(f"{path}: cannot be made ({error})") from error
+    return connection
+
+
+def _open(path: Path) -> sqlite3.Connection:
+    if not path.is_file():
+        raise JournalFileError(f"{path}: there is no journal; only a mission directory with one can be resumed")
+    _check_file(path)
+    try:
+        connection = _connect(path)
+    except (sqlite3.Error, UnicodeDecodeError) as error:
+        raise _unusable(path, error) from error
+    try:
+        _check_pages(path, connection)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def _unusable(path: Path, error: sqlite3.Error | UnicodeDecodeError) -> JournalFileError:
+    """Why a journal cannot be used, in words for whoever wanted to."""
+    if "locked" in str(error):
+        return JournalFileError(f"{path}: in use by another panoexec; stop that one first")
+    if isinstance(error, sqlite3.OperationalError) and "malformed" not in str(error):
+        full = shutil.disk_usage(path.parent).free < _ROOM_BYTES
+        why = f"there is no room left in {path.parent}" if full else str(error)
+        return JournalFileError(f"{path}: cannot be opened ({why})")
+    return JournalFileError(f"{path}: damaged ({error}); it was left as it is")
+
+
+def _check_pages(path: Path, connection: sqlite3.Connection) -> None:
+    """Raise if the file's pages do not hold together."""
+    try:
+        damaged = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+    except UnicodeDecodeError as error:  # of a text that SQLite wanted to tell of the damage
+        raise JournalFileError(f"{path}: damaged ({error}); it was left as it is") from error
+    if damaged != "ok":
+        raise JournalFileError(f"{path}: damaged ({' '.join(str(damaged).split())}); it was left as it is")
+
+
+def _check_file(path: Path) -> None:
+    """Refuse what is not ours, newer, or torn, by bytes of the files alone: nothing is opened, nothing can change."""
+    try:
+        with path.open("rb") as file:
+            header = file.read(100)
+    except OSError as error:
+        raise JournalFileError(f"{path}: cannot be read ({error.strerror})") from error
+    # the database header: magic at 0, user version at 60, application id at 68, big endian
+    if len(header) < 100 or header[:16] != b"SQLite format 3\x00":
+        raise JournalFileError(f"{path}: damaged or no journal (not an SQLite file); it was left as it is")
+    application, version = int.from_bytes(header[68:72]), int.from_bytes(header[60:64])
+    if application != APPLICATION_ID:
+        raise JournalFileError(f"{path}: an SQLite file, but not a journal of panoexec")
+    if version > SCHEMA_VERSION:
+        raise JournalFileError(
+            f"{path}: written by a newer panoexec (layout {version}, this one reads up to {SCHEMA_VERSION});"
+            " update panoexec to resume it"
+        )
+    try:
+        lost = lost_tail(path.with_name(path.name + "-wal"))
+    except OSError as error:
+        raise JournalFileError(f"{path}-wal: cannot be read ({error.strerror})") from error
+    if lost:
+        raise JournalFileError(f"{path}: damaged ({lost}); it was left as it is")
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    beside = path.with_name(f"{path.name}-wal")
+    was_there = beside.exists()
+    connection = sqlite3.connect(path, timeout=1.0, check_same_thread=False)
+    try:
+        connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute("BEGIN EXCLUSIVE")  # takes the lock now, not at the first write
+        connection.execute("COMMIT")
+    except sqlite3.DatabaseError as error:
+        connection.close()
+        if not was_there and "locked" not in str(error) and beside.exists() and not beside.stat().st_size:
+            beside.unlink()  # nothing stays behind of a journal that was refused
+        raise
+    return connection
+
+
+def _read_head(path: Path, connection: sqlite3.Connection) -> dict[str, str]:
+    try:
+        return dict(connection.execute("SELECT key, value FROM head").fetchall())
+    except (sqlite3.Error, ValueError) as error:
+        raise _damaged(path, error) from error
+
+
+def _read_events(path: Path, connection: sqlite3.Connection) -> list[Event]:
+    try:
+        rows = connection.execute("SELECT json FROM events ORDER BY seq").fetchall()
+        events = [event_from_json(json.loads(text)) for (text,) in rows]
+    except UnknownEventError as error:
+        by = _read_head(path, connection).get(WRITTEN_BY, __version__)
+        if by == __version__:
+            raise _damaged(path, error) from error
+        raise JournalFileError(
+            f"{path}: written by panoexec {by}, and tells what this one ({__version__}) does not know ({error});"
+            " resume it with that one"
+        ) from error
+    except (sqlite3.Error, ValueError) as error:
+        raise _damaged(path, error) from error
+    wrong = next((i for i, event in enumerate(events, start=1) if event.seq != i), None)
+    if wrong is not None:
+        raise JournalFileError(f"{path}: damaged (event {wrong} is missing); it was left as it is")
+    return events
+
+
+def _damaged(path: Path, error: Exception) -> JournalFileError:
+    if "locked" in str(error):
+        return JournalFileError(f"{path}: in use by another panoexec; stop that one first")
+    return JournalFileError(f"{path}: damaged ({str(error)[:200]}); it was left as it is")
+
+
+def _sync_folder(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

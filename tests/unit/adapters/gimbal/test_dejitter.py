@@ -1,0 +1,64 @@
+import itertools
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from panoexec.adapters.gimbal.dejitter import SteadyStamps
+
+PERIOD_S = 0.02
+
+
+def test_a_burst_keeps_the_spacing_of_its_sender() -> None:
+    stamps = SteadyStamps()
+    sent = [100 + i * PERIOD_S for i in range(60)]
+    # messages 30 to 41 are all delivered when the twelfth of them has been sent
+    arrived = [max(s, sent[41]) if 30 <= i <= 41 else s for i, s in enumerate(sent)]
+    told = [stamps.sent_s(s - 90, a + 0.003) for s, a in zip(sent, arrived, strict=True)]
+    gaps = [b - a for a, b in itertools.pairwise(told)]
+    assert max(gaps) == pytest.approx(PERIOD_S, abs=1e-9)
+    assert max(b - a for a, b in itertools.pairwise(arrived)) > 0.2
+
+
+def test_a_real_silence_stays_one() -> None:
+    stamps = SteadyStamps()
+    told = [stamps.sent_s(s, s + 5) for s in (1.00, 1.02, 1.04, 1.34, 1.36)]
+    assert told[3] - told[2] == pytest.approx(0.3)
+
+
+def test_a_clock_that_runs_slower_is_followed() -> None:
+    stamps = SteadyStamps()
+    # a simulation that reaches 80 % of the speed asked for
+    for i in range(500):
+        received_s = i * PERIOD_S / 0.8
+        told = stamps.sent_s(i * PERIOD_S, received_s)
+    assert received_s - told < 0.11
+
+
+@pytest.mark.parametrize("stamp_s", [math.nan, 0.0])
+def test_stamps_that_tell_nothing_leave_the_arrival(stamp_s: float) -> None:
+    stamps = SteadyStamps()
+    stamps.sent_s(stamp_s, 1.0)
+    assert [stamps.sent_s(stamp_s, t) for t in (2.0, 3.0)] == [2.0, 3.0]
+
+
+def test_a_reboot_begins_anew() -> None:
+    stamps = SteadyStamps()
+    stamps.sent_s(500.0, 10.0)
+    stamps.sent_s(500.02, 10.02)
+    assert stamps.sent_s(0.5, 20.0) == 20.0
+    assert stamps.sent_s(0.52, 20.02) == pytest.approx(20.02)
+
+
+@given(st.lists(st.tuples(st.floats(0.001, 0.1), st.floats(0, 0.4)), min_size=2, max_size=80))
+def test_never_later_than_the_arrival_and_never_back(steps: list[tuple[float, float]]) -> None:
+    stamps = SteadyStamps()
+    sent_s = received_s = before = 0.0
+    for period_s, delay_s in steps:
+        sent_s += period_s
+        received_s = max(received_s, sent_s + delay_s)
+        told = stamps.sent_s(sent_s + 7, received_s)
+        assert before <= told <= received_s
+        assert told >= sent_s - 1e-9
+        before = told

@@ -1,0 +1,39 @@
+"""A mission in the daemon that meets an error of ours: it ends, the daemon does not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from panoexec.daemon.missions import Missions
+from panoexec.inputs.config import Config, StorageSection
+from panoexec.mission.log.states import MissionState
+from panoexec.store.session import Devices, create_mission
+from tests.unit.fakes.virtual import run_virtual
+from tests.unit.fakes.world import a_world
+
+
+def test_an_error_of_ours_ends_the_mission_and_not_the_daemon(tmp_path: Path) -> None:
+    async def main() -> None:
+        async with a_world() as world:
+            config = Config(storage=StorageSection(path=tmp_path))
+            missions = Missions(config=lambda: config, clock=world.clock, sink=world.sink, changed=lambda: None)
+            stored = await create_mission(
+                tmp_path, plan=world.plan, settings=world.settings, now_utc_s=world.clock.time()
+            )
+
+            async def broken() -> None:
+                raise ZeroDivisionError("a fault of ours")
+
+            setattr(world.camera, "trigger", broken)  # noqa: B010
+            devices = Devices(gimbal=world.gimbal, camera=world.camera, vehicle=world.vehicle)
+            await missions._flown(stored, devices, "north")
+            assert missions.record is not None
+            assert missions.record.state is MissionState.FAILED  # so that it does not go on by itself into the same
+            assert "an error of its own" in missions.record.reason
+            assert not world.gimbal.in_control
+            assert missions.trouble == "ZeroDivisionError: a fault of ours"
+            assert missions.mission is None
+            assert not await missions.find_interrupted()
+            assert missions.offer is not None
+
+    run_virtual(main())

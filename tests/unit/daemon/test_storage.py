@@ -1,0 +1,33 @@
+"""What a crew is told of a storage before the flight."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from panoexec.daemon.storage import storage_trouble
+from panoexec.inputs.config import StorageSection
+
+
+@pytest.mark.parametrize(
+    ("found", "says"),
+    [
+        ({"f_flag": 0, "f_bavail": 300_000, "f_frsize": 1000}, ""),
+        ({"f_flag": 0, "f_bavail": 199_000, "f_frsize": 1000}, "has 199 MB left: [storage] min_free_mb asks for 200"),
+        ({"f_flag": os.ST_RDONLY, "f_bavail": 300_000, "f_frsize": 1000}, "is read-only"),
+    ],
+)
+def test_a_disk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, found: dict[str, int], says: str) -> None:
+    monkeypatch.setattr(os, "statvfs", lambda _: SimpleNamespace(**found))
+    trouble = storage_trouble(StorageSection(path=tmp_path, min_free_mb=200))
+    assert says in trouble
+    assert bool(trouble) is bool(says)
+
+
+def test_a_folder_that_is_not_there_yet_or_is_none(tmp_path: Path) -> None:
+    assert storage_trouble(StorageSection(path=tmp_path / "later")) == ""
+    (tmp_path / "file").write_text("")
+    assert "cannot be used" in storage_trouble(StorageSection(path=tmp_path / "file" / "below"))

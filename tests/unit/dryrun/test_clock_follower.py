@@ -1,0 +1,106 @@
+"""A clock that follows an autopilot's, and how fast that may be."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from panoexec.adapters.link.message_hub import Handler, MavMessage
+from panoexec.clock import VehicleClock
+from panoexec.dryrun.clock_follower import AUTOPILOT, WORK_S, Follower, Haste
+from panoexec.errors import DeviceError
+
+
+class Autopilot:
+    """Tells its time."""
+
+    def __init__(self) -> None:
+        self._handler: Handler = lambda _: None
+
+    def on(self, name: str, handler: Handler) -> Callable[[], None]:
+        assert name == "SYSTEM_TIME"
+        self._handler = handler
+        return lambda: None
+
+    def tell(self, boot_s: float, component: int = AUTOPILOT) -> None:
+        self._handler(MavMessage("SYSTEM_TIME", component, {"time_boot_ms": round(boot_s * 1e3)}, 0.0))
+
+
+async def test_the_mission_lives_the_autopilots_time_across_its_restarts() -> None:
+    clock, autopilot = VehicleClock(), Autopilot()
+    with Follower(clock).following(autopilot):
+        autopilot.tell(7.0)
+        assert clock.monotonic() == 7.0
+        autopilot.tell(99.0, component=154)  # a payload has its own
+        assert clock.monotonic() == 7.0
+        sleeping = asyncio.create_task(clock.sleep(1.0))
+        await asyncio.sleep(0)
+        autopilot.tell(0.5)
+        autopilot.tell(1.0)
+        assert clock.monotonic() == 7.5
+        autopilot.tell(1.6)
+        async with asyncio.timeout(20):
+            await sleeping
+    assert clock.monotonic() == pytest.approx(8.1)
+
+
+async def test_nobody_waits_for_a_dead_autopilot(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("panoexec.dryrun.clock_follower._LOOK_S", 0.01)
+    clock, autopilot = VehicleClock(), Autopilot()
+    async with asyncio.timeout(20):
+        with Follower(clock).following(autopilot):
+            autopilot.tell(7.0)
+            told_s = clock.monotonic()
+            await clock.sleep(0.1)
+            assert clock.monotonic() >= told_s + 0.1 - 1e-6
+
+
+async def test_an_autopilot_that_is_too_fast_for_its_commands_is_asked_to_slow_down() -> None:
+    clock, autopilot, asked = VehicleClock(), Autopilot(), list[float]()
+    slower = asyncio.Event()
+
+    async def set_speed(speed: float) -> None:
+        asked.append(speed)
+        slower.set()
+        raise DeviceError("which may fail")
+
+    follower = Follower(clock)
+    now_s = 7.0
+    async with asyncio.timeout(20):
+        with follower.following(autopilot):
+            autopilot.tell(now_s)
+            follower.govern(20.0, set_speed)
+            while not slower.is_set():
+                with clock.work():
+                    now_s += 5 * WORK_S
+                    autopilot.tell(now_s)
+                await asyncio.sleep(0)
+    assert asked == [pytest.approx(4.0)]
+
+
+@given(st.floats(0.001, 0.1), st.floats(1.0, 50.0))
+def test_haste_settles_where_work_costs_what_it_may(work_real_s: float, wanted: float) -> None:
+    haste = Haste(wanted)
+    for _ in range(60):
+        haste.worked(work_real_s * haste.speed)
+    best = min(wanted, max(1.0, WORK_S / work_real_s))
+    assert best / 1.2 <= haste.speed <= best * 1.2
+    assert haste.speed <= wanted
+
+
+def test_haste_is_never_less_than_real_time_and_recovers() -> None:
+    haste = Haste(20.0)
+    for _ in range(20):
+        haste.worked(2.0)
+    assert haste.speed == 1.0
+    for _ in range(60):
+        haste.worked(0.001 * haste.speed)
+    assert 20.0 / 1.15 <= haste.speed <= 20.0  # small changes are not worth a message
+    slow = Haste(0.5)
+    for _ in range(20):
+        slow.worked(2.0)
+    assert slow.speed == 0.5
