@@ -44,7 +44,7 @@ VERBS: dict[str, Verb] = {
     "serve": Verb("serve", "run the daemon that a ground station commands by MQTT"),
     "send": Verb("send", "ask a vehicle for something by MQTT and show its answer"),
     "watch": Verb("watch", "watch vehicles by MQTT: live progress and shots"),
-    "doctor": Verb("doctor", "examine a vehicle: what is there, what is missing, which parameter to set"),
+    "doctor": Verb("doctor", "run_checks a vehicle: what is there, what is missing, which parameter to set"),
     "check-config": Verb("check_config", "tell every problem of a configuration at once"),
 }
 

@@ -25,7 +25,7 @@ from panoexec.cli.planning_options import positive
 from panoexec.cli.serve import DEFAULT_CONFIG, checked_config
 from panoexec.clock import SystemClock
 from panoexec.doctor.findings import Findings, Verdict
-from panoexec.doctor.run_checks import examine
+from panoexec.doctor.run_checks import run_checks
 from panoexec.logs import configure_logs
 
 _STYLES = {Verdict.OK: "green", Verdict.NOTE: "dim", Verdict.WARNING: "yellow", Verdict.MISSING: "bold red"}
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     config = checked_config(args.config, os.environ)
     configure_logs("error", config.log.format)
     findings = asyncio.run(
-        examine(
+        run_checks(
             config,
             args.config,
             clock=SystemClock(args.speedup),

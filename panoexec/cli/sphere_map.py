@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panoexec.angles import rotation
+from panoexec.mission.log import shot_marks
 from panoexec.mission.log.record import MissionRecord, ShotRecord
-from panoexec.mission.log.shot_marks import Standing, standing_of
+from panoexec.mission.log.shot_marks import ShotMark
 from panoexec.optics import Camera
 from panoexec.planning.model import Shot
 
@@ -41,13 +42,13 @@ class Mark(IntEnum):
     CURRENT = 6
 
 
-MARKS: Final[Mapping[Standing, Mark]] = {
-    Standing.TO_DO: Mark.PENDING,
-    Standing.CURRENT: Mark.CURRENT,
-    Standing.DONE: Mark.DONE,
-    Standing.RETAKEN: Mark.RETAKEN,
-    Standing.AGAIN: Mark.AGAIN,
-    Standing.MISSING: Mark.MISSING,
+MARKS: Final[Mapping[ShotMark, Mark]] = {
+    ShotMark.TO_DO: Mark.PENDING,
+    ShotMark.CURRENT: Mark.CURRENT,
+    ShotMark.DONE: Mark.DONE,
+    ShotMark.RETAKEN: Mark.RETAKEN,
+    ShotMark.AGAIN: Mark.AGAIN,
+    ShotMark.MISSING: Mark.MISSING,
 }
 LEGEND: Final[Mapping[Mark, tuple[str, str, str]]] = {
     Mark.DONE: ("#2e9e44", "█", "done"),
@@ -68,7 +69,7 @@ def mark_of(record: ShotRecord, *, current: bool) -> Mark:
         record: of the shot.
         current: it is the one that is being taken.
     """
-    return MARKS[standing_of(record, current=current)]
+    return MARKS[shot_marks.mark_of(record, current=current)]
 
 
 def marks_of(record: MissionRecord) -> dict[int, Mark]:

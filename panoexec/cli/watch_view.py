@@ -15,7 +15,7 @@ from panoexec.cli.output import minutes
 from panoexec.cli.sphere_map import HEIGHT, MARKS, WIDTH, Mark, SphereMap
 from panoexec.errors import InputFileError
 from panoexec.inputs.plan_file import PlanFile, plan_from_data
-from panoexec.mission.log.shot_marks import standings_from_text
+from panoexec.mission.log.shot_marks import marks_from_text
 
 ENDED: Final = {"complete": 0, "incomplete": 1, "aborted": 1, "failed": 3}
 """States in which a mission is over, with the exit code of `watch`."""
@@ -131,7 +131,7 @@ class Watched:
     def marks(self) -> dict[int, Mark]:
         """What the map shows of each shot: as the state tells, else as far as its attempts were heard."""
         total, text = self.state.get("shots_total"), self.state.get("shots")
-        if isinstance(total, int) and isinstance(text, str) and (told := standings_from_text(text, count=total)):
+        if isinstance(total, int) and isinstance(text, str) and (told := marks_from_text(text, count=total)):
             return {index: MARKS[standing] for index, standing in enumerate(told)}
         out: dict[int, Mark] = {}
         for (shot, number), attempt in self.attempts.items():

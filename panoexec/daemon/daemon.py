@@ -24,7 +24,7 @@ from panoexec.inputs.config import Config
 from panoexec.inputs.plan_file import plan_to_data
 from panoexec.logs import configure_logs
 from panoexec.mission.log.events import Event
-from panoexec.mission.log.shot_marks import Standings
+from panoexec.mission.log.shot_marks import ShotMarks
 from panoexec.mission.log.states import MissionState
 from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.link import MqttLink
@@ -87,7 +87,7 @@ class Daemon:
         self._seq = 0
         self._beat_s = time.monotonic()
         self._published_plan: Plan | None = None
-        self._standings = Standings()
+        self._marks = ShotMarks()
         self._storage_trouble = ""
         self._taken_up = False
         self.vehicle = VehicleLink(config, clock=clock, changed=self._changed.set)
@@ -223,7 +223,7 @@ class Daemon:
 
     def publish(self, event: Event) -> None:
         """Take an event of a mission (`EventSink`)."""
-        self._standings.note(event)
+        self._marks.note(event)
         where = {name: value for name in ("shot", "attempt") if (value := getattr(event, name, None)) is not None}
         _log.info(event.type, seq=event.seq, mission_id=event.mission_id, state=event.state.value, **where)
         if self.mqtt is not None:
@@ -281,7 +281,7 @@ class Daemon:
             shots_done=0 if record is None else record.shots_done,
             attempts=0 if record is None else record.attempts,
             retakes=0 if record is None else record.retakes,
-            shots=self._standings.text(record),
+            shots=self._marks.text(record),
             current=record.current if record is not None and mission is not None else None,
             eta_s=round(eta, 1) if math.isfinite(eta) else None,
             reason=reason,

@@ -23,7 +23,7 @@ from panoexec.mission.mission_requests import CommandRefusedError
 from panoexec.mission.settings import MissionSettings
 from panoexec.mqtt.requests import RefusedRequestError
 from panoexec.planning.model import Plan
-from panoexec.report.mission_outputs import write_leavings
+from panoexec.report.mission_outputs import write_mission_outputs
 from panoexec.store.directory import mission_directories
 from panoexec.store.session import (
     Devices,
@@ -254,7 +254,7 @@ class Missions:
     async def _leave(stored: StoredMission) -> None:
         """Write what others work from, while the place for a mission is still taken: a stop waits for it."""
         try:
-            await asyncio.to_thread(write_leavings, stored.directory)
+            await asyncio.to_thread(write_mission_outputs, stored.directory)
         except (PanoexecError, ValueError, OSError) as error:
             _log.error("files are missing", mission_id=stored.directory.mission_id, error=str(error))
 

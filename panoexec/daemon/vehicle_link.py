@@ -117,8 +117,10 @@ class VehicleLink:
         feedback = self._config.gimbal.feedback
         url = await asyncio.to_thread(connection_of, section)
         # idle streams are looked at once a second of real time, which a mission at a speed-up would take for silence
-        sparing = getattr(self._clock, "speedup", 1.0) <= 1.0
-        link = MavsdkLink(url, clock=self._clock, component_id=section.component_id, patient=True, sparing=sparing)
+        throttling = getattr(self._clock, "speedup", 1.0) <= 1.0
+        link = MavsdkLink(
+            url, clock=self._clock, component_id=section.component_id, patient=True, throttling=throttling
+        )
         async with contextlib.AsyncExitStack() as stack:
             stack.callback(self._forget)
             await stack.enter_async_context(link)

@@ -16,7 +16,7 @@ _SOON: Final = timedelta(days=30)
 _LOCAL: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
-async def examine_broker(config: Config, findings: Findings) -> None:
+async def check_broker(config: Config, findings: Findings) -> None:
     """Look at credentials, connection and rights."""
     section = config.mqtt
     if section.host is None:

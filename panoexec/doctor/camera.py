@@ -20,9 +20,7 @@ _EVIDENCE_S: Final = 10.0
 _FEEDBACK_PIN: Final = "CAM1_FEEDBAK_PIN"
 
 
-async def examine_camera(
-    link: MavsdkLink, config: Config, findings: Findings, *, patience_s: float, photo: bool
-) -> None:
+async def check_camera(link: MavsdkLink, config: Config, findings: Findings, *, patience_s: float, photo: bool) -> None:
     """Look for the camera that the configuration names; with `photo` take one to see what proves it."""
     if config.camera.trigger == "serial":
         await _examine_shutter(link, config, findings, photo=photo)

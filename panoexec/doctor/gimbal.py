@@ -26,7 +26,7 @@ _KINDS: Final = {
 }
 
 
-async def examine_gimbal(
+async def check_gimbal(
     gimbal: MavsdkGimbal, link: MavsdkLink, config: Config, findings: Findings, *, patience_s: float
 ) -> bool:
     """Look for it, and at what it says of itself; whether it is there."""
@@ -155,7 +155,7 @@ async def _examine_plan(gimbal: MavsdkGimbal, config: Config, findings: Findings
         findings.ok("mission", "plan", f"{text}, certified, all within the gimbal's limits")
 
 
-async def examine_control(gimbal: MavsdkGimbal, findings: Findings) -> None:
+async def check_control(gimbal: MavsdkGimbal, findings: Findings) -> None:
     """Take control and give it back, unless somebody has it."""
     holder = gimbal.controlled_by
     if holder not in (None, (0, 0)) and not gimbal.in_control:

@@ -28,17 +28,17 @@ _RELEASED: Final = datetime(2026, 1, 1, tzinfo=UTC).timestamp()
 """No right clock shows an earlier time: panoexec did not exist."""
 
 
-def examine_machine(config: Config, config_file: Path, findings: Findings) -> None:
+def check_machine(config: Config, config_file: Path, findings: Findings) -> None:
     """Look at clock, disk and permissions. Blocking; writes a small file into the storage and removes it."""
-    examine_clock(config.storage.path, findings)
-    examine_disk(config, findings)
-    examine_permissions(config, config_file, findings)
+    check_clock(config.storage.path, findings)
+    check_disk(config, findings)
+    check_permissions(config, config_file, findings)
 
 
 # --- clock
 
 
-def examine_clock(storage: Path, findings: Findings) -> None:
+def check_clock(storage: Path, findings: Findings) -> None:
     """Whether the wall clock can be right: missions are named by it, photos are stamped with it."""
     now = time.time()
     shown = datetime.fromtimestamp(now, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
@@ -84,7 +84,7 @@ def _newest_mission(storage: Path) -> str:
 # --- disk
 
 
-def examine_disk(config: Config, findings: Findings) -> None:
+def check_disk(config: Config, findings: Findings) -> None:
     """Whether missions can be stored, and how fast a journal can be made durable."""
     section = config.storage
     try:
@@ -138,7 +138,7 @@ def _sync_time(folder: Path) -> float:
 # --- permissions
 
 
-def examine_permissions(config: Config, config_file: Path, findings: Findings) -> None:
+def check_permissions(config: Config, config_file: Path, findings: Findings) -> None:
     """What this user may do, and whether it is the one that the service runs as."""
     owner = _owner(config.storage.path)
     if os.geteuid() == 0 and owner not in ("", "root"):

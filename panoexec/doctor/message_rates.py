@@ -25,7 +25,7 @@ class Rate:
     gap_s: float
 
 
-class RateMeter:
+class MessageRates:
     """Counts messages of one name from `start` on; counting happens in the vendor's thread."""
 
     def __init__(self, link: MavsdkLink, name: str) -> None:

@@ -7,14 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from panoexec.clock import Clock
-from panoexec.doctor.broker import examine_broker
+from panoexec.doctor.broker import check_broker
 from panoexec.doctor.findings import Findings
-from panoexec.doctor.machine import examine_machine
-from panoexec.doctor.vehicle import examine_vehicle
+from panoexec.doctor.machine import check_machine
+from panoexec.doctor.vehicle import check_vehicle
 from panoexec.inputs.config import Config
 
 
-async def examine(
+async def run_checks(
     config: Config,
     config_file: Path,
     *,
@@ -35,9 +35,9 @@ async def examine(
     """
     findings = Findings()
     note("link, rates, gimbal, camera …")
-    await examine_vehicle(config, findings, clock=clock, patience_s=patience_s, photo=photo)
+    await check_vehicle(config, findings, clock=clock, patience_s=patience_s, photo=photo)
     note("broker …")
-    await examine_broker(config, findings)
+    await check_broker(config, findings)
     note("clock, disk, permissions …")
-    await asyncio.to_thread(examine_machine, config, config_file, findings)
+    await asyncio.to_thread(check_machine, config, config_file, findings)
     return findings

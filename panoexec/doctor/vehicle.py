@@ -17,10 +17,10 @@ from panoexec.adapters.link.stream_keeper import AUTOPILOT
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import Clock
 from panoexec.doctor.advice import advise
-from panoexec.doctor.camera import examine_camera
+from panoexec.doctor.camera import check_camera
 from panoexec.doctor.findings import Findings
-from panoexec.doctor.gimbal import examine_control, examine_gimbal
-from panoexec.doctor.message_rates import Rate, RateMeter
+from panoexec.doctor.gimbal import check_control, check_gimbal
+from panoexec.doctor.message_rates import MessageRates, Rate
 from panoexec.errors import DeviceError, LinkError
 from panoexec.inputs.config import Config
 
@@ -43,7 +43,7 @@ _WITHOUT: Final = {
 }
 
 
-async def examine_vehicle(
+async def check_vehicle(
     config: Config, findings: Findings, *, clock: Clock, patience_s: float, photo: bool = False
 ) -> None:
     """Look at everything behind the MAVLink connection; nothing moves, and no photo is taken unless `photo`.
@@ -74,19 +74,19 @@ async def examine_vehicle(
                 for area in ("rates", "gimbal", "camera", "vehicle"):
                     findings.note(area, "not examined", "there is no autopilot to ask")
                 return
-            there = await examine_gimbal(gimbal, link, config, findings, patience_s=patience_s)
+            there = await check_gimbal(gimbal, link, config, findings, patience_s=patience_s)
             await _examine_rates(link, findings, earth=there and gimbal_is_earth(gimbal))
             _examine_components(link, findings)
             if there:
-                await examine_control(gimbal, findings)
-            await examine_camera(link, config, findings, patience_s=patience_s, photo=photo)
+                await check_control(gimbal, findings)
+            await check_camera(link, config, findings, patience_s=patience_s, photo=photo)
             await _examine_clock(link, findings)
             _examine_status(vehicle, config, findings)
             await link.use_rates(active=False)
     except LinkError as error:
         advice = "[vehicle] connection"
         if "in use" in str(error):
-            advice = "if that is the daemon: systemctl stop panoexec, examine, systemctl start panoexec"
+            advice = "if that is the daemon: systemctl stop panoexec, run_checks, systemctl start panoexec"
         findings.missing("link", "port", str(error), advice=advice)
 
 
@@ -147,7 +147,7 @@ async def _examine_rates(link: MavsdkLink, findings: Findings, *, earth: bool) -
     clock = link.clock
     await link.use_rates(active=True)
     await clock.sleep(_SETTLE_S)
-    meters = [RateMeter(link, stream.name) for stream in DEFAULT_STREAMS]
+    meters = [MessageRates(link, stream.name) for stream in DEFAULT_STREAMS]
     for meter in meters:
         meter.start()
     await clock.sleep(_MEASURE_S)
@@ -159,7 +159,7 @@ async def _examine_rates(link: MavsdkLink, findings: Findings, *, earth: bool) -
             continue
         wanted_hz = reports[stream.name].wanted_hz
         if stream.name == "GIMBAL_DEVICE_ATTITUDE_STATUS" and own:
-            wanted_hz = stream.rate_hz  # the autopilot's copy is spared, the gimbal's own counts
+            wanted_hz = stream.rate_hz  # the autopilot's copy is throttled, the gimbal's own counts
         _judge_rate(
             findings, stream.name, rates[stream.name], wanted_hz, earth=earth, refused=reports[stream.name].refused
         )

@@ -60,7 +60,7 @@ class Haste:
         return True
 
 
-class Follower:
+class ClockFollower:
     """Tells a mission's clock the time of an autopilot."""
 
     def __init__(self, clock: VehicleClock) -> None:

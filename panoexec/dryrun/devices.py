@@ -14,8 +14,8 @@ from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.stream_health import DEFAULT_STREAMS, Stream
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import Clock, VehicleClock
-from panoexec.dryrun.clock_follower import TIME_STREAM, Follower
-from panoexec.dryrun.lockstep import Timekeeper
+from panoexec.dryrun.clock_follower import TIME_STREAM, ClockFollower
+from panoexec.dryrun.lockstep import Lockstep
 from panoexec.dryrun.pilot import MavsdkPilot
 from panoexec.dryrun.rigs import Rig, VehicleUnderTest
 from panoexec.errors import DeviceError
@@ -45,10 +45,10 @@ async def devices_on(
         link = await stack.enter_async_context(MavsdkLink(rig.connection, clock=clock, streams=_streams(rig, clock)))
         keeper = follower = None
         if isinstance(clock, VehicleClock) and rig.allow is not None:
-            keeper = Timekeeper(clock, rig.allow, speedup=vehicle_under_test.speedup)
+            keeper = Lockstep(clock, rig.allow, speedup=vehicle_under_test.speedup)
             stack.enter_context(keeper.keeping(link))
         elif isinstance(clock, VehicleClock):
-            follower = Follower(clock)
+            follower = ClockFollower(clock)
             stack.enter_context(follower.following(link))
         gimbal = await stack.enter_async_context(MavsdkGimbal(link))
         camera = await stack.enter_async_context(MavsdkCamera(link))

@@ -47,7 +47,7 @@ class Hears(Protocol):
         ...
 
 
-class Timekeeper:
+class Lockstep:
     """Tells the clock what the vehicle's time is, and the vehicle how far it may go."""
 
     def __init__(self, clock: VehicleClock, allow: Allow, *, speedup: float) -> None:

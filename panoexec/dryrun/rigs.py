@@ -37,7 +37,7 @@ class Rig:
         connection: for `MavsdkLink`.
         must_fly: it stands on the ground and is ours to arm, take off and land.
         may_stand: it is not ours; a mission may be flown on it while it stands on a bench.
-        allow: lets its time go on, for `Timekeeper`; None: it goes on by itself.
+        allow: lets its time go on, for `Lockstep`; None: it goes on by itself.
         may_slow: it can be asked for another speed (`SIM_SPEEDUP`).
         about: for the manifest.
     """

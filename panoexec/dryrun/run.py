@@ -23,13 +23,13 @@ from panoexec.dryrun.devices import devices_on, settings_on
 from panoexec.dryrun.rigs import ConnectedVehicle, EmbeddedVehicle, SitlVehicle, VehicleUnderTest
 from panoexec.errors import LinkError, UsageError
 from panoexec.mission.executor import Mission
-from panoexec.mission.ideal_duration import limit_steps_s
+from panoexec.mission.ideal_duration import ideal_step_durations_s
 from panoexec.mission.log.events import AxisErrors, Event
 from panoexec.mission.log.record import MissionRecord, Verdict
 from panoexec.mission.pointing.poses import pose_of, read_pose
 from panoexec.mission.settings import MissionSettings
 from panoexec.planning.model import Certificate, Plan, Shot
-from panoexec.report.mission_outputs import write_leavings
+from panoexec.report.mission_outputs import write_mission_outputs
 from panoexec.sim import settings as sim_settings
 from panoexec.sim.config import SimConfig
 from panoexec.store.directory import discard_mission_directory, existing_mission_directory
@@ -274,16 +274,18 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
         await stored.journal.close()
         # an interrupted mission leaves what there is; what went wrong first is what counts
         with suppress(UsageError):
-            await asyncio.to_thread(write_leavings, stored.directory)
+            await asyncio.to_thread(write_mission_outputs, stored.directory)
         raise
     await stored.journal.close()
     try:
-        await asyncio.to_thread(write_leavings, stored.directory)
+        await asyncio.to_thread(write_mission_outputs, stored.directory)
     except UsageError as error:  # the mission is what it is, and on disk
         note(f"not everything could be written of the mission: {error}")
     shots = _shots_flown(record, since_utc_s=began_utc_s)
     camera = simulation.camera
-    steps_s = limit_steps_s(shots, stored.settings, start=start, exposure_s=camera.exposure_s, lag_s=camera.latency_s)
+    steps_s = ideal_step_durations_s(
+        shots, stored.settings, start=start, exposure_s=camera.exposure_s, lag_s=camera.latency_s
+    )
     limit_s = sum(steps_s)
     summary = summarise(stored, record, duration_s=duration_s, limit_s=limit_s, certificate=certificate)
     return replace(summary, vehicle=rig.about, turns=turns, report=stored.directory.report)

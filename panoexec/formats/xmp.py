@@ -3,7 +3,7 @@
 Attitude is written twice, because readers look for one or the other:
 
 * `drone-dji:Gimbal{Yaw,Pitch,Roll}Degree`: the camera's attitude in NED as yaw, pitch, roll in the 3-2-1 order, pitch
-  -90 = nadir. `drone-dji:Flight…Degree` is the aircraft's.
+  -90 = nadir. `drone-dji:MissionContext…Degree` is the aircraft's.
 * `Camera:{Yaw,Pitch,Roll}` (namespace of Pix4D): the same order, of a body whose z axis is the boresight and whose x
   axis is the image's top, so that all are 0 in a photo of the nadir with its top to the north.
 

@@ -14,7 +14,7 @@ from panoexec.clock import Clock
 from panoexec.devices import Camera, EvidenceLevel, Gimbal, PendingCapture
 from panoexec.errors import DeviceError
 from panoexec.mission.pointing.gate import SettleLimits, SettleTracker, Target, WindowVerdict, judge_window
-from panoexec.mission.pointing.heading import Turner
+from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.pointing.poses import PoseReader, read_pose, to_north
 from panoexec.mission.preflight import gimbal_limits
 from panoexec.mission.protocols import PhotoMemory
@@ -95,7 +95,7 @@ class Shooter:
     settings: MissionSettings
     reference_yaw_north_deg: float
     open_loop: bool
-    turner: Turner | None = None
+    turner: HeadingController | None = None
     poses: PoseReader = field(init=False)
     _ready_s: float = field(default=-math.inf, init=False)
     _pointed: tuple[float, float] | None = field(default=None, init=False)
@@ -326,7 +326,7 @@ class Shooter:
             wait.for_its_turn = False
             wait.deadline_s = max(wait.deadline_s, free_s + wait.bound_s)
 
-    def _read(self, wait: _Wait, nose: Turner | None = None) -> None:
+    def _read(self, wait: _Wait, nose: HeadingController | None = None) -> None:
         """Feed the tracker with what has come."""
         readings = self.poses.since(wait.newest_s)
         if not readings:

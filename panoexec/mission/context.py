@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 from panoexec.clock import Clock
 from panoexec.devices import Camera, Gimbal, Vehicle
-from panoexec.mission.eta import Pace
+from panoexec.mission.eta import EtaEstimator
 from panoexec.mission.log.record import MissionRecord, ShotStatus
 from panoexec.mission.log.recorder import Recorder
-from panoexec.mission.mission_requests import Control
-from panoexec.mission.pointing.heading import Turner
+from panoexec.mission.mission_requests import MissionRequests
+from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.protocols import Verifier
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.shot_queue import ShotQueue
@@ -18,7 +18,7 @@ from panoexec.planning.model import Plan
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Flight:
+class MissionContext:
     """One mission in the air: handed to each part by the executor."""
 
     plan: Plan
@@ -29,10 +29,10 @@ class Flight:
     clock: Clock
     verifier: Verifier
     recorder: Recorder
-    control: Control
+    control: MissionRequests
     queue: ShotQueue
-    pace: Pace
-    turner: Turner | None = None
+    pace: EtaEstimator
+    turner: HeadingController | None = None
 
     @property
     def record(self) -> MissionRecord:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from panoexec.mission.context import Flight
+from panoexec.mission.context import MissionContext
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.waiting import until
@@ -16,7 +16,7 @@ class Ending:
         certificate: of the measured attitudes, once it was computed.
     """
 
-    def __init__(self, flight: Flight) -> None:
+    def __init__(self, flight: MissionContext) -> None:
         self._flight = flight
         self.certificate: Certificate | None = None
 

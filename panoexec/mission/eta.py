@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 
-class Pace:
+class EtaEstimator:
     """Learns the seconds a shot costs while flying, and estimates the rest.
 
     The first guess comes from the plan; each accepted shot then pulls the estimate by `weight` (an exponentially

@@ -11,18 +11,18 @@ from panoexec.clock import Clock
 from panoexec.devices import Camera, Gimbal, Vehicle
 from panoexec.errors import MissionError
 from panoexec.mission.attempt import Shooter
-from panoexec.mission.context import Flight
+from panoexec.mission.context import MissionContext
 from panoexec.mission.ending import Ending
-from panoexec.mission.eta import Pace
-from panoexec.mission.guard_monitor import Holding
+from panoexec.mission.eta import EtaEstimator
+from panoexec.mission.guard_monitor import GuardMonitor
 from panoexec.mission.guards import Guard, flight_guards
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import MissionRecord, ShotStatus
 from panoexec.mission.log.recorder import Recorder
 from panoexec.mission.log.states import FINISHED, MissionState
-from panoexec.mission.mission_requests import Control, Stop
-from panoexec.mission.operator_commands import Verbs
-from panoexec.mission.pointing.heading import Turner
+from panoexec.mission.mission_requests import MissionRequests, Stop
+from panoexec.mission.operator_commands import OperatorCommands
+from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.preflight import battery_warning, preflight_problems
 from panoexec.mission.protocols import Journal, Verifier
 from panoexec.mission.recovery import settle_open_attempts
@@ -84,7 +84,7 @@ class Mission:
             raise MissionError(f"mission {mission_id} is {record.state} and cannot be resumed: {record.reason}")
         again = record.asked.repeats
         todo = [index for index, shot in sorted(record.shots.items()) if shot.status not in DONE or index in again]
-        self._flight = Flight(
+        self._flight = MissionContext(
             plan=plan,
             settings=settings,
             gimbal=gimbal,
@@ -93,18 +93,18 @@ class Mission:
             clock=clock,
             verifier=verifier,
             recorder=Recorder(record=record, journal=journal, sink=sink, clock=clock),
-            control=Control(),
+            control=MissionRequests(),
             queue=ShotQueue(todo, attempts=settings.attempts, rounds=settings.rounds),
-            pace=Pace(expected_shot_s=_expected_shot_s(plan, settings)),
+            pace=EtaEstimator(expected_shot_s=_expected_shot_s(plan, settings)),
             turner=_turner(vehicle, clock, settings),
         )
         self._resumed = bool(past)
         self._reference = reference
-        self._holding = Holding(self._flight, flight_guards(settings) if guards is None else guards)
+        self._holding = GuardMonitor(self._flight, flight_guards(settings) if guards is None else guards)
         self._ending = Ending(self._flight)
         self._shooting: Shooting | None = None
         self._began = False
-        self.verbs = Verbs(self._flight)
+        self.verbs = OperatorCommands(self._flight)
 
     @property
     def record(self) -> MissionRecord:
@@ -295,11 +295,13 @@ class Mission:
         )
 
 
-def _turner(vehicle: Vehicle, clock: Clock, settings: MissionSettings) -> Turner | None:
+def _turner(vehicle: Vehicle, clock: Clock, settings: MissionSettings) -> HeadingController | None:
     turning = settings.gimbal.turning
     if turning is None:
         return None
-    return Turner(vehicle=vehicle, clock=clock, turning=turning, tolerance_yaw_deg=settings.tolerance.yaw_deg)
+    return HeadingController(
+        vehicle=vehicle, clock=clock, turning=turning, tolerance_yaw_deg=settings.tolerance.yaw_deg
+    )
 
 
 def _expected_shot_s(plan: Plan, settings: MissionSettings) -> float:

@@ -6,7 +6,7 @@ import asyncio
 import math
 
 from panoexec.errors import DeviceError
-from panoexec.mission.context import Flight
+from panoexec.mission.context import MissionContext
 from panoexec.mission.guards import Finding, Guard, Situation, reasons
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
@@ -21,10 +21,10 @@ TICK_S = 0.5
 RECLAIM_EVERY_S = 3.0
 
 
-class Holding:
+class GuardMonitor:
     """Keeps a mission from shooting while it must not, and owns the gimbal's control."""
 
-    def __init__(self, flight: Flight, guards: tuple[Guard, ...]) -> None:
+    def __init__(self, flight: MissionContext, guards: tuple[Guard, ...]) -> None:
         self._flight = flight
         self._guards = guards
         # a process that was killed may have left the gimbal in our hands: its manager knows us by our component. It is

@@ -10,7 +10,7 @@ from panoexec.planning.model import Shot
 from panoexec.planning.order.duration import slew_time_s
 
 
-def limit_steps_s(
+def ideal_step_durations_s(
     shots: Sequence[Shot],
     settings: MissionSettings,
     *,

@@ -27,7 +27,7 @@ class Stop:
     reason: str
 
 
-class Control:
+class MissionRequests:
     """The wishes of a mission.
 
     Attributes:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from panoexec.mission.context import Flight
+from panoexec.mission.context import MissionContext
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import ShotStatus
 from panoexec.mission.log.states import ENDED, MissionState
 from panoexec.mission.mission_requests import CommandRefusedError, Stop
 
 
-class Verbs:
+class OperatorCommands:
     """The commands of a mission. Each is obeyed at the next safe point: at once while slewing, else after the photo.
 
     Every method raises `CommandRefusedError` when the mission cannot do it now, and then changes nothing.
     """
 
-    def __init__(self, flight: Flight) -> None:
+    def __init__(self, flight: MissionContext) -> None:
         self._flight = flight
 
     def pause(self, reason: str = "") -> None:

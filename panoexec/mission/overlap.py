@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from panoexec.mission.context import Flight
+from panoexec.mission.context import MissionContext
 from panoexec.mission.log.events import MeasuredPose
 
 
-async def overlaps_hold(flight: Flight, shot: int, measured: MeasuredPose | None) -> bool:
+async def overlaps_hold(flight: MissionContext, shot: int, measured: MeasuredPose | None) -> bool:
     """Whether the certificate holds with this pose as measured, if all that is to come goes as planned."""
     record = flight.record
     if measured is None:

@@ -49,64 +49,64 @@ _WARNINGS: Final[Mapping[str, str]] = MappingProxyType(
 
 
 @dataclass(frozen=True, slots=True)
-class Saying:
+class PilotMessage:
     """One line for the pilot."""
 
     text: str
     severity: Severity
 
 
-def saying_of(event: ev.Event, record: MissionRecord) -> Saying | None:  # noqa: C901, PLR0911, PLR0912  (one case a kind)
+def pilot_message_for(event: ev.Event, record: MissionRecord) -> PilotMessage | None:  # noqa: C901, PLR0911, PLR0912  (one case a kind)
     """What the pilot is told of an event; None for nothing."""
     done = f"{record.shots_done}/{record.shots_total}"
     match event:
         case ev.MissionStarted(resumed=True):
-            return Saying(f"goes on at {done}, checking", Severity.INFO)
+            return PilotMessage(f"goes on at {done}, checking", Severity.INFO)
         case ev.MissionStarted():
-            return Saying(f"{event.shots_total} shots, checking", Severity.INFO)
+            return PilotMessage(f"{event.shots_total} shots, checking", Severity.INFO)
         case ev.PreflightPassed():
-            return Saying("shooting, hold position", Severity.NOTICE)
+            return PilotMessage("shooting, hold position", Severity.NOTICE)
         case ev.PreflightFailed():
-            return Saying(f"not started: {'; '.join(event.problems)}", Severity.ERROR)
+            return PilotMessage(f"not started: {'; '.join(event.problems)}", Severity.ERROR)
         case ev.MissionPaused(code="interrupted"):
-            return Saying(f"stopped at {done}, can be resumed", Severity.WARNING)
+            return PilotMessage(f"stopped at {done}, can be resumed", Severity.WARNING)
         case ev.MissionPaused():
             why = " + ".join(PAUSES.get(code, code) for code in event.code.split("+"))
-            return Saying(f"paused: {why}", Severity.NOTICE if event.code == "command" else Severity.WARNING)
+            return PilotMessage(f"paused: {why}", Severity.NOTICE if event.code == "command" else Severity.WARNING)
         case ev.MissionResumed():
-            return Saying(f"goes on at {done}", Severity.NOTICE)
+            return PilotMessage(f"goes on at {done}", Severity.NOTICE)
         case ev.PatchPlanned():
-            return Saying(f"{len(event.shots)} more shots to close holes", Severity.INFO)
+            return PilotMessage(f"{len(event.shots)} more shots to close holes", Severity.INFO)
         case ev.Warned():
-            return Saying(_WARNINGS.get(event.code, event.text), Severity.WARNING)
+            return PilotMessage(_WARNINGS.get(event.code, event.text), Severity.WARNING)
         case ev.MissionFinished(state=MissionState.COMPLETE):
-            return Saying(f"complete, {done}, gimbal is free", Severity.NOTICE)
+            return PilotMessage(f"complete, {done}, gimbal is free", Severity.NOTICE)
         case ev.MissionFinished(state=MissionState.ABORTED):
-            return Saying(f"aborted at {done}, gimbal is free", Severity.WARNING)
+            return PilotMessage(f"aborted at {done}, gimbal is free", Severity.WARNING)
         case ev.MissionFinished(state=MissionState.INCOMPLETE):
-            return Saying(f"ended, {len(event.missing)} of {record.shots_total} missing", Severity.WARNING)
+            return PilotMessage(f"ended, {len(event.missing)} of {record.shots_total} missing", Severity.WARNING)
         case ev.MissionFinished():
-            return Saying(f"failed at {done}: {event.reason}", Severity.ERROR)
+            return PilotMessage(f"failed at {done}: {event.reason}", Severity.ERROR)
     return None
 
 
-class PilotVoice:
+class PilotMessenger:
     """A sink of a mission's events that speaks to the pilot; `run` does so beside the mission."""
 
     def __init__(self, *, vehicle: Vehicle, record: MissionRecord) -> None:
         self._vehicle = vehicle
         self._record = record
-        self._waiting: deque[Saying] = deque(maxlen=MOST_SAYINGS)
+        self._waiting: deque[PilotMessage] = deque(maxlen=MOST_SAYINGS)
         self._came = asyncio.Event()
         self._speaking = asyncio.Lock()
 
     def publish(self, event: ev.Event) -> None:
         """See `EventSink.publish`."""
-        saying = saying_of(event, self._record)
+        saying = pilot_message_for(event, self._record)
         if saying is not None:
             self.tell(saying)
 
-    def tell(self, saying: Saying) -> None:
+    def tell(self, saying: PilotMessage) -> None:
         """Say something when there is time."""
         self._waiting.append(saying)
         self._came.set()

@@ -14,7 +14,7 @@ from typing import Final
 from panoexec.devices import CaptureEvidence, EvidenceLevel, Recollection, RememberedPhoto
 from panoexec.errors import DeviceError
 from panoexec.mission import evidence
-from panoexec.mission.context import Flight
+from panoexec.mission.context import MissionContext
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import AttemptRecord, Verdict
 from panoexec.mission.overlap import overlaps_hold
@@ -32,7 +32,7 @@ UNKNOWN: Final = "panoexec stopped before its photo was proven"
 UNJUDGED: Final = "panoexec stopped before the pointing of its photo was on record"
 
 
-async def settle_open_attempts(flight: Flight) -> None:
+async def settle_open_attempts(flight: MissionContext) -> None:
     """Give every attempt that has no verdict one; photos whose file is still unknown get what the camera tells.
 
     When the process is to end again meanwhile, everything stays as it was for the next one.
@@ -62,7 +62,7 @@ def _anonymous(attempt: AttemptRecord) -> bool:
     return any(photo.image_index < 0 and not photo.file for photo in attempt.photos)
 
 
-async def _recall(flight: Flight) -> Recollection:
+async def _recall(flight: MissionContext) -> Recollection:
     """What the camera remembers; nothing, if it has no memory or does not answer."""
     memory = flight.camera
     if not isinstance(memory, PhotoMemory):
@@ -76,7 +76,7 @@ async def _recall(flight: Flight) -> Recollection:
     return Recollection()
 
 
-async def _settle(flight: Flight, index: int, attempt: AttemptRecord, remembered: _Photos) -> None:
+async def _settle(flight: MissionContext, index: int, attempt: AttemptRecord, remembered: _Photos) -> None:
     exposed, settings = attempt.exposed, flight.settings
     if exposed is None:
         photos = remembered.since(attempt.started_utc_s)
@@ -109,7 +109,7 @@ async def _settle(flight: Flight, index: int, attempt: AttemptRecord, remembered
 class _Photos:
     """The remembered photos that no attempt has claimed yet."""
 
-    def __init__(self, flight: Flight, recollection: Recollection) -> None:
+    def __init__(self, flight: MissionContext, recollection: Recollection) -> None:
         attempts = [attempt for record in flight.record.shots.values() for attempt in record.attempts]
         known = {photo.image_index for attempt in attempts for photo in attempt.photos} - {-1}
         self._window_s = flight.settings.exposure_bound_s

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 
-from panoexec.mission.context import Flight
+from panoexec.mission.context import MissionContext
 from panoexec.mission.guards import distance_m
 from panoexec.mission.log import events as ev
 
 
-def anchor(flight: Flight) -> None:
+def anchor(flight: MissionContext) -> None:
     """Take what this process still lacks and the vehicle tells by now."""
     record = flight.record
     if record.anchored and not math.isnan(record.reference_yaw_north_deg):
@@ -34,7 +34,7 @@ def anchor(flight: Flight) -> None:
         tell_if_moved(flight)
 
 
-def tell_if_moved(flight: Flight) -> None:
+def tell_if_moved(flight: MissionContext) -> None:
     """Warn if the vehicle is not where the first photos were taken, however many processes ago that was."""
     moved = distance_m(flight.record.first_origin, flight.vehicle.status)
     if moved > flight.settings.guards.position_drift_m:

@@ -11,8 +11,8 @@ import structlog
 from panoexec.devices import EvidenceLevel, PendingCapture
 from panoexec.mission import evidence
 from panoexec.mission.attempt import Exposure, NotSettled, Settled, Shooter
-from panoexec.mission.context import Flight
-from panoexec.mission.guard_monitor import Holding
+from panoexec.mission.context import MissionContext
+from panoexec.mission.guard_monitor import GuardMonitor
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.overlap import overlaps_hold
@@ -24,7 +24,7 @@ from panoexec.mission.waiting import until
 class Shooting:
     """Takes the shots of the queue until it is empty and all evidence is in, or the mission must leave."""
 
-    def __init__(self, flight: Flight, holding: Holding, group: asyncio.TaskGroup) -> None:
+    def __init__(self, flight: MissionContext, holding: GuardMonitor, group: asyncio.TaskGroup) -> None:
         self._flight = flight
         self._holding = holding
         self._group = group

@@ -26,7 +26,7 @@ from panoexec.errors import UsageError
 from panoexec.mqtt.requests import RefusedRequestError, Request
 
 T = TypeVar("T")
-Standing: TypeAlias = Literal["new", "under way", "interrupted", "answered"]
+ShotMark: TypeAlias = Literal["new", "under way", "interrupted", "answered"]
 
 KEPT: Final = 10_000
 """Answers that are kept; older ones are forgotten."""
@@ -57,7 +57,7 @@ class Noted:
         response: the answer that was given, as JSON; "" without one.
     """
 
-    standing: Standing
+    standing: ShotMark
     response: str = ""
 
 

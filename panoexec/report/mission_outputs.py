@@ -15,7 +15,7 @@ from panoexec.store.directory import MissionDirectory
 from panoexec.store.manifest import read_manifest
 
 
-def write_leavings(directory: MissionDirectory) -> None:
+def write_mission_outputs(directory: MissionDirectory) -> None:
     """Write all of them; what cannot be written does not keep the others from being written.
 
     Blocks: use it in a thread. Missions that were interrupted leave them too, of what there is.
@@ -27,7 +27,7 @@ def write_leavings(directory: MissionDirectory) -> None:
         UsageError: with everything that could not be written, or because the manifest is not there or is damaged.
     """
     problems: list[str] = []
-    for name, write in LEAVINGS.items():
+    for name, write in MISSION_OUTPUTS.items():
         try:
             write(directory)
         except InputFileError:
@@ -48,5 +48,5 @@ def _report(directory: MissionDirectory) -> None:
     write_report(directory, patience_s=AT_ONCE_S)
 
 
-LEAVINGS: Final[Mapping[str, Callable[[MissionDirectory], None]]] = {"exports": _exports, "report": _report}
+MISSION_OUTPUTS: Final[Mapping[str, Callable[[MissionDirectory], None]]] = {"exports": _exports, "report": _report}
 """Each by a name for messages; a writer raises a PanoexecError if it cannot."""

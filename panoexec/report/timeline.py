@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Final
 
-from panoexec.mission.ideal_duration import limit_steps_s
+from panoexec.mission.ideal_duration import ideal_step_durations_s
 from panoexec.mission.log import events as ev
 from panoexec.mission.settings import MissionSettings
 from panoexec.planning.model import GimbalLimits, Shot
@@ -195,7 +195,7 @@ def _limits(begun: Sequence[_Begun], settings: MissionSettings | None) -> dict[t
         )
         for item in first.values()
     ]
-    steps = limit_steps_s(shots, settings, start=None, exposure_s=settings.exposure_s)
+    steps = ideal_step_durations_s(shots, settings, start=None, exposure_s=settings.exposure_s)
     opening = begun[0].entry.get("slew_settle_s")
     if opening is not None:
         steps[0] += max(0.0, float(opening) - settings.settle_s)

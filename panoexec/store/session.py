@@ -23,7 +23,7 @@ from panoexec.mission.executor import Mission
 from panoexec.mission.log.events import Event, EventSink
 from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.log.states import FINISHED
-from panoexec.mission.pilot_messages import PilotVoice, Saying
+from panoexec.mission.pilot_messages import PilotMessage, PilotMessenger
 from panoexec.mission.protocols import Journal
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.verifier import ThreadedVerifier
@@ -153,7 +153,9 @@ class MissionSession:
         mission: the executor; its verbs may be used while `run` is under way.
     """
 
-    def __init__(self, *, stored: StoredMission, mission: Mission, manifest: ManifestWriter, voice: PilotVoice) -> None:
+    def __init__(
+        self, *, stored: StoredMission, mission: Mission, manifest: ManifestWriter, voice: PilotMessenger
+    ) -> None:
         self.stored = stored
         self.mission = mission
         self._manifest = manifest
@@ -208,7 +210,7 @@ class MissionSession:
                 certificate=lambda: mission.certificate,
                 battery=lambda: devices.vehicle.status.battery_frac,
             )
-            voice = PilotVoice(vehicle=devices.vehicle, record=mission.record)
+            voice = PilotMessenger(vehicle=devices.vehicle, record=mission.record)
             sinks += [writer, voice]
             yield cls(stored=stored, mission=mission, manifest=writer, voice=voice)
         finally:
@@ -232,7 +234,7 @@ class MissionSession:
                     task.cancel()
         except BaseException as failure:
             if not isinstance(failure, asyncio.CancelledError):
-                self._voice.tell(Saying("stopped by an error, gimbal is free", Severity.ERROR))
+                self._voice.tell(PilotMessage("stopped by an error, gimbal is free", Severity.ERROR))
             await self._voice.farewell()
             with suppress(UsageError):  # what went wrong first is what counts
                 await self._manifest.write()

@@ -46,7 +46,7 @@ class StandIn(VehicleLink):
         return LinksFields(autopilot=there, gimbal=there, camera=there)
 
     async def run(self) -> None:
-        """Stream attitudes while the gimbal is ours, as a link that is sparing does."""
+        """Stream attitudes while the gimbal is ours, as a link that is throttling does."""
         while True:
             self.pulse_s = time.monotonic()
             await asyncio.sleep(0.04 if self._gimbal_stand_in.in_control else 0.2)

@@ -49,7 +49,7 @@ pytestmark = pytest.mark.skipif(
 
 
 @dataclass
-class Flight:
+class MissionContext:
     link: MavsdkLink
     gimbal: MavsdkGimbal
     camera: MavsdkCamera
@@ -68,7 +68,7 @@ class Flight:
 
 
 @contextlib.asynccontextmanager
-async def flight(connection: str) -> AsyncIterator[Flight]:
+async def flight(connection: str) -> AsyncIterator[MissionContext]:
     clock = SystemClock(SPEEDUP)
     async with (
         MavsdkLink(connection, clock=clock) as link,
@@ -81,12 +81,12 @@ async def flight(connection: str) -> AsyncIterator[Flight]:
         await gimbal.discover(30)
         await camera.discover(30)
         await pilot.take_off(30.0)
-        yield Flight(link, gimbal, camera, vehicle, pilot, clock)
+        yield MissionContext(link, gimbal, camera, vehicle, pilot, clock)
         await pilot.land()
         assert not vehicle.status.armed
 
 
-async def check_reboot(flown: Flight) -> None:
+async def check_reboot(flown: MissionContext) -> None:
     """On the ground: the autopilot forgets its intervals, and is asked again without anybody's help."""
     assert await flown.link.requests.command(REBOOT, [1]) == 0
     await eventually(lambda: flown.vehicle.status.boot_count == 1, 60)
@@ -108,8 +108,8 @@ async def test_a_mavlink_gimbal_and_camera_behind_a_real_autopilot(tmp_path: Pat
             found = await capture.evidence(EvidenceLevel.FILE_SEEN, 120.0)
             assert (found.level, found.image_index) == (EvidenceLevel.FILE_SEEN, index)
         assert flown.camera.surplus_photos == 0
-        # the gimbal's own reports arrive, so the autopilot is spared its copy of them
-        assert flown.link.streams.spared[285] == 1.0
+        # the gimbal's own reports arrive, so the autopilot is throttled its copy of them
+        assert flown.link.streams.throttled[285] == 1.0
         await flown.gimbal.release()
         assert not flown.gimbal.in_control
         await flown.pilot.land()

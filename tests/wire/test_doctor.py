@@ -14,8 +14,8 @@ import pytest
 
 from panoexec.clock import SystemClock
 from panoexec.doctor.findings import Findings
-from panoexec.doctor.run_checks import examine
-from panoexec.doctor.vehicle import examine_vehicle
+from panoexec.doctor.run_checks import run_checks
+from panoexec.doctor.vehicle import check_vehicle
 from panoexec.dryrun.autopilot import BINARY_VARIABLE, sitl_binary
 from panoexec.dryrun.rigs import SitlVehicle
 from panoexec.inputs.config import Config, load_config
@@ -59,7 +59,7 @@ async def doctor(folder: Path, text: str, *arguments: str) -> tuple[int, dict[st
 async def examined(folder: Path, port: int, more: str = "", *, patience_s: float = PATIENCE_S) -> Findings:
     (folder / "config.toml").write_text(config_text(port, folder, more))
     config: Config = load_config(folder / "config.toml", {})
-    return await examine(config, folder / "config.toml", clock=SystemClock(SPEEDUP), patience_s=patience_s)
+    return await run_checks(config, folder / "config.toml", clock=SystemClock(SPEEDUP), patience_s=patience_s)
 
 
 @needs_mosquitto
@@ -169,7 +169,7 @@ async def test_a_port_that_the_daemon_holds_(tmp_path: Path) -> None:
         other.bind(("127.0.0.1", 0))
         url = f"udpin://127.0.0.1:{other.getsockname()[1]}"
         taken = config.model_copy(update={"vehicle": config.vehicle.model_copy(update={"connection": url})})
-        await examine_vehicle(taken, findings, clock=SystemClock(), patience_s=1.0)
+        await check_vehicle(taken, findings, clock=SystemClock(), patience_s=1.0)
     port = found(findings.document(), "link", "port")
     assert port["verdict"] == "missing"
     assert "systemctl stop panoexec" in port["advice"]

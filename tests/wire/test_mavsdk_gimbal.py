@@ -292,7 +292,7 @@ async def test_the_stream_comes_back_after_a_reboot_in_flight(
 async def test_a_daemon_that_waits_looks_only_now_and_then(gimbal_autopilot: GimbalPeer) -> None:
     gimbal_autopilot.flags = 76
     async with (
-        MavsdkLink(gimbal_autopilot.url, clock=SystemClock(), sparing=True) as link,
+        MavsdkLink(gimbal_autopilot.url, clock=SystemClock(), throttling=True) as link,
         MavsdkGimbal(link) as gimbal,
     ):
         await link.wait_autopilot(10)

@@ -15,7 +15,7 @@ from panoexec.errors import DeviceError
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.log.states import MissionState
-from panoexec.mission.pilot_messages import PilotVoice
+from panoexec.mission.pilot_messages import PilotMessenger
 from panoexec.planning.model import Shot
 from panoexec.sim.config import AirframeConfig, SimConfig
 from panoexec.sim.mavlink.dialect import mavlink
@@ -148,7 +148,7 @@ async def test_the_pilot_is_told(autopilot: ScriptedPeer, link: MavsdkLink) -> N
         return [(m.severity, m.text) for m in autopilot.others if m.get_type() == "STATUSTEXT"]
 
     async with MavsdkVehicle(link) as vehicle:
-        voice = PilotVoice(vehicle=vehicle, record=record)
+        voice = PilotMessenger(vehicle=vehicle, record=record)
         speaking = asyncio.create_task(voice.run(), name="words to the pilot")
         for event in happened:
             voice.publish(event)

@@ -13,7 +13,7 @@ from typing import Any
 import aiomqtt
 import pytest
 
-from panoexec.doctor.broker import examine_broker
+from panoexec.doctor.broker import check_broker
 from panoexec.doctor.findings import Findings
 from panoexec.errors import LinkError
 from panoexec.inputs.config import Config, MqttSection
@@ -133,7 +133,7 @@ async def test_the_doctor_sees_who_may_answer_for_a_vehicle(
     assert (await probe_broker(old, vehicle="drone")).may_write is None
     findings = Findings()
     section = credentials(tmp_path, broker, user).model_dump()
-    await examine_broker(Config.model_validate({"vehicle": {"id": "drone"}, "mqtt": section}), findings)
+    await check_broker(Config.model_validate({"vehicle": {"id": "drone"}, "mqtt": section}), findings)
     (answers,) = [f for f in findings.all if f.check == "answers"]
     assert answers.verdict == ("ok" if allowed else "missing")
     assert findings.exit_code == (0 if allowed else 3)
@@ -142,7 +142,7 @@ async def test_the_doctor_sees_who_may_answer_for_a_vehicle(
 async def test_the_doctor_is_told_by_a_broker_that_lets_nobody_in(tmp_path: Path, broker: Broker) -> None:
     section = MqttSection(host="127.0.0.1", port=broker.port).model_dump()
     findings = Findings()
-    await examine_broker(Config.model_validate({"mqtt": section}), findings)
+    await check_broker(Config.model_validate({"mqtt": section}), findings)
     (connection,) = [f for f in findings.all if f.check == "connection"]
     assert connection.verdict == "missing"
     assert "not authori" in connection.found.lower()

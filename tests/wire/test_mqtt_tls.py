@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from panoexec.doctor.broker import examine_broker
+from panoexec.doctor.broker import check_broker
 from panoexec.doctor.findings import Findings
 from panoexec.errors import LinkError, UsageError
 from panoexec.inputs.config import Config, MqttSection
@@ -113,7 +113,7 @@ async def test_an_expired_certificate_is_told_with_its_date(
         async with GroundStation(mine):
             pass
     findings = Findings()
-    await examine_broker(Config.model_validate({"mqtt": mine.model_dump()}), findings)
+    await check_broker(Config.model_validate({"mqtt": mine.model_dump()}), findings)
     assert "expired on 2021" in next(f.found for f in findings.all if f.check == "cert_file")
     assert findings.exit_code == 3
     theirs = authority.issue("127.0.0.1", begin="20200101000000Z", end="20210203040506Z")

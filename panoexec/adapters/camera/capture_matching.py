@@ -190,7 +190,7 @@ class Capture:
         self._changed.set()
 
 
-class CaptureLedger:
+class CaptureMatcher:
     """All triggers of a camera, and the reports that came."""
 
     def __init__(self) -> None:

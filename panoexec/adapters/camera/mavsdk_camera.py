@@ -15,7 +15,7 @@ from typing import Final, Self
 import structlog
 from mavsdk.plugins.camera import Camera, CameraList, Information
 
-from panoexec.adapters.camera.capture_matching import Capture, CaptureLedger, StampClock
+from panoexec.adapters.camera.capture_matching import Capture, CaptureMatcher, StampClock
 from panoexec.adapters.camera.capture_messages import captured_report, feedback_report, file_is_there
 from panoexec.adapters.camera.photo_recall import CAPTURE_STATUS, IMAGE_CAPTURED, recall_images, recall_trigger
 from panoexec.adapters.gimbal.attitude_messages import number
@@ -92,7 +92,7 @@ class MavsdkCamera:
         self._found: CameraFound | None = None
         self._listed: dict[int, Information] = {}
         self._list_changed = asyncio.Event()
-        self._ledger = CaptureLedger()
+        self._ledger = CaptureMatcher()
         self._stamps = StampClock()
         self._storages: dict[int, float] = {}
         self._numbers = 0

@@ -17,7 +17,7 @@ from typing import Final, Literal, Protocol, Self, TypeAlias
 import serial
 import structlog
 
-from panoexec.adapters.camera.capture_matching import Capture, CaptureLedger
+from panoexec.adapters.camera.capture_matching import Capture, CaptureMatcher
 from panoexec.adapters.camera.capture_messages import feedback_report
 from panoexec.adapters.link.message_hub import Handler, MavMessage
 from panoexec.adapters.link.worker_calls import WorkerCalls
@@ -86,7 +86,7 @@ class SerialShutter:
         self._feedback_pin = feedback_pin
         self._serial: serial.Serial | None = None
         self._calls = WorkerCalls("serial shutter", threads=1)
-        self._ledger = CaptureLedger()
+        self._ledger = CaptureMatcher()
         self._numbers = 0
         self._off: list[Callable[[], None]] = []
 

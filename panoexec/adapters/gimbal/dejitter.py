@@ -15,7 +15,7 @@ _WINDOW_S: Final = 0.5
 than ours (a simulation that cannot keep up): then the offset must follow."""
 
 
-class SteadyStamps:
+class StampDejitter:
     """Turns the stamps of one stream into the mission's clock; fed in the order of arrival, from one thread.
 
     The result is never later than the arrival, never earlier than the sending less the shortest delay of half a second,

@@ -24,7 +24,7 @@ _JUMP_DEG: Final = 20.0
 """A difference that changes by more than jitter and drift can (the gimbal has set its heading anew)."""
 
 
-class HeadingBlend:
+class HeadingFilter:
     """Blends the two; fed from one thread, in the order of arrival."""
 
     def __init__(self) -> None:

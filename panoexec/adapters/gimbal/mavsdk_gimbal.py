@@ -24,9 +24,9 @@ from panoexec.adapters.gimbal.attitude_messages import (
     vehicle_attitude,
     yaw_frame,
 )
-from panoexec.adapters.gimbal.dejitter import SteadyStamps
-from panoexec.adapters.gimbal.heading_filter import HeadingBlend
-from panoexec.adapters.link.batching import ReportInbox
+from panoexec.adapters.gimbal.dejitter import StampDejitter
+from panoexec.adapters.gimbal.heading_filter import HeadingFilter
+from panoexec.adapters.link.batching import MessageBatcher
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.message_hub import MavMessage
 from panoexec.adapters.link.stream_keeper import AUTOPILOT
@@ -96,10 +96,10 @@ class MavsdkGimbal:
         self._link = link
         self._feedback_wanted = feedback
         self._frame = _FRAMES.get(feedback) if feedback else None
-        self._reports = ReportInbox(self._report, post=link.post, eager=lambda: self._buffer.is_awaited)
+        self._reports = MessageBatcher(self._report, post=link.post, eager=lambda: self._buffer.is_awaited)
         self._buffer = AttitudeBuffer(autopilot_component=AUTOPILOT, catch_up=self._reports.empty)
-        self._heading = HeadingBlend()
-        self._stamps: dict[tuple[int, str], SteadyStamps] = {}
+        self._heading = HeadingFilter()
+        self._stamps: dict[tuple[int, str], StampDejitter] = {}
         self._stated = YawFrame.VEHICLE
         self._found: GimbalFound | None = None
         self._limits: GimbalLimits | None = None
@@ -290,7 +290,7 @@ class MavsdkGimbal:
 
     def _sent_s(self, message: MavMessage) -> float:
         """When a message was sent, free of the jitter with which it arrived; one stream a component and kind."""
-        stamps = self._stamps.setdefault((message.component_id, message.name), SteadyStamps())
+        stamps = self._stamps.setdefault((message.component_id, message.name), StampDejitter())
         return stamps.sent_s(number(message.fields["time_boot_ms"]) / 1000.0, message.received_s)
 
     # --- in the vendor's thread
@@ -327,17 +327,17 @@ class MavsdkGimbal:
     def _source_changed(self, component: int, stated: YawFrame, used: YawFrame) -> None:
         """Ask only for what is needed: the daemon's computing time goes into messages that reach Python.
 
-        The autopilot's copy of the reports is spared while the gimbal's own arrive. Its attitude is needed as often as
+        The autopilot's copy of the reports is slowed while the gimbal's own arrive. Its attitude is needed as often as
         they come to compose them with it; less often where it only corrects the heading that the gimbal tells; hardly
         at all for reports relative to the earth.
         """
-        spared = self._link.streams.spared
-        spared.pop(ATTITUDE_STATUS, None)
-        spared.pop(ATTITUDE, None)
+        throttled = self._link.streams.throttled
+        throttled.pop(ATTITUDE_STATUS, None)
+        throttled.pop(ATTITUDE, None)
         if component != AUTOPILOT:
-            spared[ATTITUDE_STATUS] = _SPARED_HZ
+            throttled[ATTITUDE_STATUS] = _SPARED_HZ
         if used is YawFrame.EARTH:
-            spared[ATTITUDE] = _SPARED_HZ if stated is YawFrame.EARTH else _DRIFT_HZ
+            throttled[ATTITUDE] = _SPARED_HZ if stated is YawFrame.EARTH else _DRIFT_HZ
 
     async def _ask_limits(self, manager: int) -> None:
         if self._limits is not None:

@@ -21,7 +21,7 @@ WAITING_MOST: Final = 20_000
 """So many are kept while the loop is busy; 60 s at 300 Hz. The oldest go."""
 
 
-class ReportInbox:
+class MessageBatcher:
     """`put` is for the vendor's thread, all else for the event loop."""
 
     def __init__(

@@ -59,7 +59,7 @@ def filter_program(message_id: int) -> bytes:
     return b"".join(struct.pack("HBBI", *instruction) for instruction in program)
 
 
-class DatagramMute:
+class DatagramFilter:
     """Mutes one message on the socket of this process that listens on a URL's port; for other URLs it does nothing.
 
     Args:

@@ -63,7 +63,7 @@ class _LogBridge:
 _bridge = _LogBridge()
 
 
-def quiet_vendor_log() -> None:
+def quiet_mavsdk_log() -> None:
     """Send MAVSDK's log to ours; to be called before anything of it is created."""
     mavsdk.log_subscribe(_bridge)
 

@@ -18,11 +18,11 @@ import structlog
 from mavsdk import Autopilot
 from mavsdk.plugins.mavlink_direct import MavlinkDirect
 
-from panoexec.adapters.link.bpf_filter import DatagramMute
+from panoexec.adapters.link.bpf_filter import DatagramFilter
 from panoexec.adapters.link.connection_url import ConnectionUrl, parse_connection
-from panoexec.adapters.link.mavsdk_errors import quiet_vendor_log
+from panoexec.adapters.link.mavsdk_errors import quiet_mavsdk_log
 from panoexec.adapters.link.mavsdk_requests import MavsdkRequests
-from panoexec.adapters.link.mavsdk_session import VendorSession
+from panoexec.adapters.link.mavsdk_session import MavsdkSession
 from panoexec.adapters.link.message_hub import Handler, MavMessage, MessageHub
 from panoexec.adapters.link.stream_health import DEFAULT_STREAMS, HEARTBEAT_LOST_S, Stream
 from panoexec.adapters.link.stream_keeper import AUTOPILOT, StreamKeeper
@@ -64,7 +64,7 @@ class MavsdkLink:
         vehicle_system_id: int | None = None,
         streams: Sequence[Stream] = DEFAULT_STREAMS,
         patient: bool = False,
-        sparing: bool = False,
+        throttling: bool = False,
     ) -> None:
         """Describe the link; entering the context opens it.
 
@@ -76,7 +76,7 @@ class MavsdkLink:
             vehicle_system_id: which vehicle, where one connection carries several; None takes the first.
             streams: messages to ask for.
             patient: a serial device or a host that is absent when the link is opened is waited for, not an error.
-            sparing: look at fast streams only once a second (of real time) from `use_rates(active=False)` on.
+            throttling: look at fast streams only once a second (of real time) from `use_rates(active=False)` on.
 
         Raises:
             UsageError: the URL is wrong.
@@ -88,10 +88,10 @@ class MavsdkLink:
         self._own_system = system_id
         self._vehicle_system = vehicle_system_id
         self._patient = patient
-        self._sparing = sparing
+        self._throttling = throttling
         self._calls = WorkerCalls("mavsdk")
-        self._session = VendorSession(self.url, self._calls)
-        self._muted = DatagramMute(self.url, _GIMBAL_REPORTS[1])
+        self._session = MavsdkSession(self.url, self._calls)
+        self._muted = DatagramFilter(self.url, _GIMBAL_REPORTS[1])
         self._hub = MessageHub(clock, self.post, mute=self._mute)
         self.requests = MavsdkRequests(
             self._session,
@@ -166,7 +166,7 @@ class MavsdkLink:
         Raises:
             LinkError: the port is in use, or the device cannot be opened (unless `patient`).
         """
-        quiet_vendor_log()
+        quiet_mavsdk_log()
         self._loop = asyncio.get_running_loop()
         async with contextlib.AsyncExitStack() as stack:
             stack.callback(self._calls.stop)
@@ -181,7 +181,7 @@ class MavsdkLink:
     async def __aexit__(
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> bool | None:
-        """Close the connection; see `VendorSession.close` for how long that takes."""
+        """Close the connection; see `MavsdkSession.close` for how long that takes."""
         try:
             return await self._stack.__aexit__(exc_type, exc, traceback)
         except BaseExceptionGroup as failures:
@@ -235,7 +235,7 @@ class MavsdkLink:
         """Ask for the rates of a flying mission, or for those of waiting. What fails is tried again by itself."""
         self.streams.active = active
         self._nudge.set()
-        self._hub.spare(FAST_STREAMS if self._sparing and not active else ())
+        self._hub.throttle(FAST_STREAMS if self._throttling and not active else ())
         if self.connected:
             await self.streams.ask()
 
@@ -282,7 +282,7 @@ class MavsdkLink:
                 _log.error("another component of the vehicle uses our MAVLink ids", ids=self.own_ids)
             with contextlib.suppress(TimeoutError):
                 # each look at streams and connection is a wakeup: a daemon that waits has time
-                waits = self._sparing and not self.streams.active and self.connected
+                waits = self._throttling and not self.streams.active and self.connected
                 async with asyncio.timeout(_SPARING_TICK_S if waits else _TICK_S):
                     await self._nudge.wait()
 
@@ -306,7 +306,7 @@ class MavsdkLink:
         self._heartbeat_s = time.monotonic()
         self._session.system = system
         self._hub.attach(self.requests.plugin(MavlinkDirect))
-        # nothing is spared before somebody says that nothing flies: what looks for devices needs to hear them all
+        # nothing is throttled before somebody says that nothing flies: what looks for devices needs to hear them all
         await self.streams.ask()
         for callback in tuple(self._on_attached):
             callback()

@@ -17,7 +17,7 @@ from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
 from mavsdk.plugins.param import Param, ParamError, ParamResult
 
 from panoexec.adapters.link.mavsdk_errors import MAV_RESULTS, device_error
-from panoexec.adapters.link.mavsdk_session import VendorSession
+from panoexec.adapters.link.mavsdk_session import MavsdkSession
 from panoexec.adapters.link.message_hub import MavMessage, MessageHub
 from panoexec.adapters.link.stream_keeper import AUTOPILOT
 from panoexec.adapters.link.worker_calls import WorkerCalls
@@ -44,7 +44,7 @@ class MavsdkRequests:
 
     def __init__(
         self,
-        session: VendorSession,
+        session: MavsdkSession,
         calls: WorkerCalls,
         hub: MessageHub,
         *,

@@ -27,7 +27,7 @@ _REOPEN_MOST_S: Final = 10.0
 _log = structlog.get_logger(__name__)
 
 
-class VendorSession:
+class MavsdkSession:
     """Owns what must be released in order. All methods are for the event loop; what blocks runs in worker threads."""
 
     def __init__(self, url: ConnectionUrl, calls: WorkerCalls) -> None:

@@ -114,7 +114,7 @@ class MessageHub:
         self._direct = None
         self._subscriptions.clear()
 
-    def spare(self, names: Iterable[str]) -> None:
+    def throttle(self, names: Iterable[str]) -> None:
         """Hear only the first of these messages after each `listen_again`, until called anew.
 
         A gimbal that is its own component reports 50 times a second, asked or not, and each report that reaches Python
@@ -124,7 +124,7 @@ class MessageHub:
         self.listen_again()
 
     def listen_again(self) -> None:
-        """Hear what was spared."""
+        """Hear what was throttled."""
         if self._direct is not None:
             for name in self._handlers:
                 if name not in self._subscriptions:

@@ -45,7 +45,7 @@ DEFAULT_STREAMS: Final = (
 )
 
 
-class BootWatch:
+class RebootDetector:
     """Notices reboots of the autopilot: its boot time runs backwards."""
 
     def __init__(self) -> None:
@@ -65,7 +65,7 @@ class BootWatch:
         return rebooted
 
 
-class StreamWatch:
+class StreamHealth:
     """One stream: whether it flows, and whether to ask for it (again).
 
     An autopilot forgets all intervals when it reboots and loses requests on a bad link; so what was granted but is

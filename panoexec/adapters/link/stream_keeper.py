@@ -10,7 +10,7 @@ from functools import partial
 from typing import Final, TypeAlias
 
 from panoexec.adapters.link.message_hub import MavMessage, MessageHub
-from panoexec.adapters.link.stream_health import BootWatch, Stream, StreamWatch
+from panoexec.adapters.link.stream_health import RebootDetector, Stream, StreamHealth
 from panoexec.clock import Clock
 from panoexec.errors import DeviceError
 
@@ -65,10 +65,10 @@ class StreamKeeper:
         """
         self.active = False
         """Whether the rates of a flying mission are wanted."""
-        self.spared: dict[int, float] = {}
+        self.throttled: dict[int, float] = {}
         """Rates, Hz, of messages (by number) that are wanted less often for now than their stream says."""
-        self.boots = BootWatch()
-        self._watches = [StreamWatch(stream) for stream in streams]
+        self.boots = RebootDetector()
+        self._watches = [StreamHealth(stream) for stream in streams]
         self._measured = {stream.name: (0, clock.monotonic(), 0.0) for stream in streams}
         self._clock = clock
         self._command = command
@@ -121,12 +121,12 @@ class StreamKeeper:
             for watch in self._watches
         ]
 
-    def _wanted_hz(self, watch: StreamWatch) -> float:
+    def _wanted_hz(self, watch: StreamHealth) -> float:
         stream = watch.stream
         wanted = stream.rate_hz if self.active else stream.idle_rate_hz
-        return min(wanted, self.spared.get(stream.message_id, wanted))
+        return min(wanted, self.throttled.get(stream.message_id, wanted))
 
-    def _arrived(self, watch: StreamWatch, message: MavMessage) -> None:
+    def _arrived(self, watch: StreamHealth, message: MavMessage) -> None:
         watch.note(message.heard_s)
         # a gimbal that is its own component stamps with its own boot time
         boot_ms = message.fields.get("time_boot_ms") if message.component_id == AUTOPILOT else None

@@ -24,7 +24,7 @@ class MissionState(StrEnum):
     CAPTURING = "capturing"
     """Shots are being taken."""
     PAUSED = "paused"
-    """Holding, for a reason that is stated; also what an interrupted process leaves behind. Can be resumed."""
+    """Paused, for a reason that is stated; also what an interrupted process leaves behind. Can be resumed."""
     FINISHING = "finishing"
     """The last evidence is awaited, the panorama as flown is certified."""
     COMPLETE = "complete"

@@ -35,7 +35,7 @@ HELD_DEG = 5.0
 """While the nose is this near to where it was told to be, it stands there."""
 
 
-class Turner:
+class HeadingController:
     """Turns one vehicle for one mission; headings and yaws are degrees from true north.
 
     Attributes:

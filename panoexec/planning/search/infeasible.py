@@ -14,7 +14,7 @@ from panoexec.planning.certificate.adjacency import MUTUAL_OVERLAP
 from panoexec.planning.certificate.robust_footprint import robust_cores
 from panoexec.planning.geometry.domain import Domain
 from panoexec.planning.model import NO_TOLERANCE, Constraints, GimbalLimits, Tolerance
-from panoexec.planning.search.row_constraints import Demands, RowRules
+from panoexec.planning.search.row_constraints import Demands, RowConstraints
 from panoexec.planning.search.row_search import RowSearch
 from panoexec.planning.search.row_spacing import MOST_IN_A_ROW, NeighbourDemand
 from panoexec.planning.search.variants import worst_loss
@@ -128,7 +128,7 @@ def _pitch_limits(camera: Camera, constraints: Constraints, gimbal: GimbalLimits
     )
 
 
-def _lowest_reach_deg(rules: RowRules) -> float:
+def _lowest_reach_deg(rules: RowConstraints) -> float:
     """Down to which elevation rows cover all round, 90 where no row closes."""
     pitch = np.linspace(rules.pitch_deg[0], min(rules.pitch_deg[1], rules.pitch_deg[0] + rules.camera.vfov_deg), _STEPS)
     lowest = 90.0
@@ -205,7 +205,7 @@ def _feasible(camera: Camera, constraints: Constraints) -> bool:
     return bool(RowSearch(_rules(camera, constraints), width=_WIDTH).ways(patient=False))
 
 
-def _rules(camera: Camera, constraints: Constraints) -> RowRules:
+def _rules(camera: Camera, constraints: Constraints) -> RowConstraints:
     every = constraints.guarantee == "all"
     neighbours = NeighbourDemand(
         planned=constraints.overlap_h,
@@ -215,4 +215,4 @@ def _rules(camera: Camera, constraints: Constraints) -> RowRules:
     demands = Demands(
         neighbours=neighbours, planned_v=constraints.overlap_v, worst_v=constraints.overlap_v if every else 0.0
     )
-    return RowRules(camera, constraints, demands, worst_loss(camera, constraints) if every else None)
+    return RowConstraints(camera, constraints, demands, worst_loss(camera, constraints) if every else None)

@@ -28,8 +28,8 @@ from panoexec.planning.order.shot_order import Order, order_shots
 from panoexec.planning.request import MAX_IMAGES, check_request
 from panoexec.planning.search.infeasible import nothing_to_cover, refusal, tolerance_eats_image, too_dense
 from panoexec.planning.search.lower_bound import least_images
-from panoexec.planning.search.row_constraints import RowRules
-from panoexec.planning.search.row_refinement import Rows, polish
+from panoexec.planning.search.row_constraints import RowConstraints
+from panoexec.planning.search.row_refinement import Rows, refine
 from panoexec.planning.search.row_seam import with_best_seam
 from panoexec.planning.search.row_search import Label, RowSearch
 from panoexec.planning.search.thinning import narrowed, thinned
@@ -142,7 +142,7 @@ class _Planner:
             if (self._best_images is not None and variant.group > group) or self._exhausted:
                 break
             group = variant.group
-            some = self._try(RowRules(self._camera, self._constraints, variant.demands, variant.loss))
+            some = self._try(RowConstraints(self._camera, self._constraints, variant.demands, variant.loss))
             closes = closes or some
             if not closes and group == 1:
                 break  # all other variants ask for more
@@ -153,7 +153,7 @@ class _Planner:
             return _Found(shots, _verdict(self._camera, self._asked, shots))
         return self._best
 
-    def _try(self, rules: RowRules) -> bool:
+    def _try(self, rules: RowConstraints) -> bool:
         """Look for a certified plan with fewer images than the best one so far; tells whether rows close the band."""
         rules = with_best_seam(rules)
         margin = _MARGIN_MANY if rules.many else 0.0
@@ -176,7 +176,7 @@ class _Planner:
             margin = max(margin + lacking, _FACTOR * margin)
         return closes
 
-    def _try_ways(self, rules: RowRules, ways: Sequence[Label], margin: float) -> float | None:
+    def _try_ways(self, rules: RowConstraints, ways: Sequence[Label], margin: float) -> float | None:
         """Judge ways; tells what those lack that only C1 or C3 keeps from being certified, None if that is not it."""
         tried = loose = 0
         lacking: list[float] = []
@@ -210,11 +210,11 @@ class _Planner:
         """Whether as much was judged as a plan is worth."""
         return self._best is not None and self._spent > _WORK * max(_LEAST_WORK, len(self._best.shots))
 
-    def _judged_label(self, rules: RowRules, label: Label, margin: float) -> _Found | None:
+    def _judged_label(self, rules: RowConstraints, label: Label, margin: float) -> _Found | None:
         """Rows of a label's counts with their verdict; None where they do not reach the top of the band."""
         found: _Found | None = None
         for _ in range(1 + _RETRIES):
-            rows = polish(rules, label.path(), margin)
+            rows = refine(rules, label.path(), margin)
             if rows is None:
                 break
             found = self._judged(rules, rows)
@@ -224,7 +224,7 @@ class _Planner:
             margin = rows.margin + lacking
         return found
 
-    def _judged(self, rules: RowRules, rows: Rows) -> _Found:
+    def _judged(self, rules: RowConstraints, rows: Rows) -> _Found:
         shots = row_shots(rules, rows)
         self._spent += len(shots)
         return _Found(shots, _verdict(self._camera, self._constraints, shots))
@@ -240,7 +240,7 @@ def _verdict(camera: Camera, constraints: Constraints, shots: Sequence[Shot]) ->
     return certify_poses(camera, constraints, poses, [shot.row for shot in shots], explain=False)
 
 
-def row_shots(rules: RowRules, rows: Rows) -> tuple[Shot, ...]:
+def row_shots(rules: RowConstraints, rows: Rows) -> tuple[Shot, ...]:
     """The shots of rows, row by row."""
     shots: list[Shot] = []
     for number, (pitch, count, phase) in enumerate(zip(rows.pitch_deg, rows.count, rows.phase_deg, strict=True)):

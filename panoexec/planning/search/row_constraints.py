@@ -53,7 +53,7 @@ class Demands:
     least_rows: int = 1
 
 
-class RowRules:
+class RowConstraints:
     """The rules for the rows of one plan.
 
     Attributes:
@@ -106,10 +106,10 @@ class RowRules:
         loss = np.zeros(len(pitch_deg)) if self._loss is None else self._loss(pitch_deg)
         return np.asarray(np.maximum(planned, self.demands.worst_v + loss))
 
-    def with_seam(self, seam: float) -> RowRules:
+    def with_seam(self, seam: float) -> RowConstraints:
         """The same with another demand on what neighbours both see of the meridian between them."""
         demands = replace(self.demands, neighbours=replace(self.demands.neighbours, seam=seam))
-        return RowRules(self.camera, self._constraints, demands, self._loss)
+        return RowConstraints(self.camera, self._constraints, demands, self._loss)
 
     def band(self, pitch_deg: FloatArray, count: IntArray) -> tuple[FloatArray, FloatArray]:
         """Elevations that rows cover all round, whatever the errors: lowest and highest, each (k,)."""

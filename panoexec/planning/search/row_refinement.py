@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panoexec.angles import FloatArray
-from panoexec.planning.search.row_constraints import RowRules
+from panoexec.planning.search.row_constraints import RowConstraints
 from panoexec.planning.search.row_pairs import FINE, PHASES
 from panoexec.planning.search.row_search import FEW
 from panoexec.planning.search.row_steps import highest_pitch
@@ -50,7 +50,7 @@ class Rows:
         return sum(self.count)
 
 
-def polish(rules: RowRules, path: Sequence[tuple[float, int]], least_margin: float = 0.0) -> Rows | None:
+def refine(rules: RowConstraints, path: Sequence[tuple[float, int]], least_margin: float = 0.0) -> Rows | None:
     """Give rows of the given counts the greatest common margin.
 
     Args:
@@ -84,7 +84,7 @@ def polish(rules: RowRules, path: Sequence[tuple[float, int]], least_margin: flo
     )
 
 
-def _centred(rules: RowRules, pitch_deg: float, count: int, margin: float) -> Rows:
+def _centred(rules: RowConstraints, pitch_deg: float, count: int, margin: float) -> Rows:
     """A single row, no higher than given, that reaches as far over one end of the band as over the other."""
     height = rules.camera.vfov_deg
     floor, _ = rules.zone_of(pitch_deg, count)
@@ -95,7 +95,7 @@ def _centred(rules: RowRules, pitch_deg: float, count: int, margin: float) -> Ro
     return Rows(pitch_deg=(best,), count=(count,), phase_deg=(0.0,), margin=margin)
 
 
-def _promising(rules: RowRules, path: Sequence[tuple[float, int]]) -> float:
+def _promising(rules: RowConstraints, path: Sequence[tuple[float, int]]) -> float:
     """The margin that the slack at the top is good for, if rows may be moved freely."""
     pitch, count = path[-1]
     _, high = rules.band(np.array([pitch]), np.array([count]))
@@ -112,18 +112,20 @@ def _promising(rules: RowRules, path: Sequence[tuple[float, int]]) -> float:
     return min(slack / (max(places, 1) * height), _MOST_MARGIN)
 
 
-def _free_ends(rules: RowRules) -> tuple[bool, bool]:
+def _free_ends(rules: RowConstraints) -> tuple[bool, bool]:
     """Whether rows can reach over the lower and the upper end of the band."""
     low, high = rules.band_deg
     return low > -_FLATTEST_END_DEG, high < _FLATTEST_END_DEG
 
 
-def _climb(rules: RowRules, path: Sequence[tuple[float, int]], margins: FloatArray, extra: FloatArray) -> FloatArray:
+def _climb(
+    rules: RowConstraints, path: Sequence[tuple[float, int]], margins: FloatArray, extra: FloatArray
+) -> FloatArray:
     """Pitches (rows, margins) of rows as high as they can be with each margin, and no higher than given; else NaN.
 
     Args:
         rules: what they have to satisfy.
-        path: as for `polish`.
+        path: as for `refine`.
         margins: of pairs of rows.
         extra: how far the first row reaches over the lower end of the band, in vertical fields of view.
     """
@@ -153,7 +155,7 @@ def _climb(rules: RowRules, path: Sequence[tuple[float, int]], margins: FloatArr
     return out
 
 
-def _reaches(rules: RowRules, count: int, pitch_deg: FloatArray, extra: FloatArray) -> NDArray[np.bool_]:
+def _reaches(rules: RowConstraints, count: int, pitch_deg: FloatArray, extra: FloatArray) -> NDArray[np.bool_]:
     """Whether rows at the top cover up to the band's end, and beyond by so many vertical fields of view."""
     some = ~np.isnan(pitch_deg)
     _, high = rules.band(np.where(some, pitch_deg, 0.0), np.full(len(pitch_deg), count))
@@ -161,7 +163,7 @@ def _reaches(rules: RowRules, count: int, pitch_deg: FloatArray, extra: FloatArr
     return np.asarray(some & (high >= rules.band_deg[1] + over))
 
 
-def _phases(rules: RowRules, pitch_deg: FloatArray, counts: tuple[int, ...]) -> tuple[float, ...]:
+def _phases(rules: RowConstraints, pitch_deg: FloatArray, counts: tuple[int, ...]) -> tuple[float, ...]:
     """Turn each row to the best of the phases against the row below it."""
     phases = [0.0]
     if len(counts) > 1:

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from panoexec.angles import FloatArray
-from panoexec.planning.search.row_constraints import RowRules
+from panoexec.planning.search.row_constraints import RowConstraints
 from panoexec.planning.search.row_steps import highest_pitch
 
 _GRID = 250
@@ -38,7 +38,7 @@ NEVER = 10**7
 """Images above a row from which no way leads on."""
 
 
-class Outlook:
+class RowRelaxation:
     """Fewest images above a row.
 
     Args:
@@ -46,7 +46,7 @@ class Outlook:
         wanted: margin of pairs of rows that steps are measured with.
     """
 
-    def __init__(self, rules: RowRules, wanted: float = 0.0) -> None:
+    def __init__(self, rules: RowConstraints, wanted: float = 0.0) -> None:
         self._rules = rules
         self._wanted = wanted
         height = rules.camera.vfov_deg

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from panoexec.planning.search.row_constraints import RowRules
+from panoexec.planning.search.row_constraints import RowConstraints
 from panoexec.planning.search.row_cover import CoreEdges
 from panoexec.planning.search.row_steps import highest_pitch
 
@@ -27,7 +27,7 @@ _WORTH = 0.99
 _TALL_DEG = 60.0
 
 
-def with_best_seam(rules: RowRules) -> RowRules:
+def with_best_seam(rules: RowConstraints) -> RowConstraints:
     """The rules with the demand on seams that takes the fewest images for an elevation covered."""
     height = rules.camera.vfov_deg
     even = rules.layout.closed and rules.layout.blind_deg == 0

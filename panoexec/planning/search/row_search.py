@@ -21,9 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from panoexec.angles import FloatArray
-from panoexec.planning.search.row_constraints import RowRules
+from panoexec.planning.search.row_constraints import RowConstraints
 from panoexec.planning.search.row_layout import IntArray
-from panoexec.planning.search.row_relaxation import NEVER, Outlook
+from panoexec.planning.search.row_relaxation import NEVER, RowRelaxation
 from panoexec.planning.search.row_steps import highest_pitch
 
 _SMALLEST_STEP = 0.15
@@ -107,11 +107,11 @@ class RowSearch:
         width: so many labels of equally many rows go on.
     """
 
-    def __init__(self, rules: RowRules, *, wanted: float = 0.0, width: int = WIDTH) -> None:
+    def __init__(self, rules: RowConstraints, *, wanted: float = 0.0, width: int = WIDTH) -> None:
         self._rules = rules
         self._width = min(width, _WIDTH_MANY) if rules.many else width
         self._wanted = wanted
-        self._outlook = Outlook(rules, wanted)
+        self._outlook = RowRelaxation(rules, wanted)
         pitch, count = rules.first_rows(_MORE_IMAGES)
         self._first = self._labels(pitch, count, [None] * len(count), np.full(len(count), rules.pitch_deg[0]))
 

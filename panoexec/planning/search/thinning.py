@@ -1,4 +1,4 @@
-"""Masks: parts of the band that need no cover, and the images that can be spared for them."""
+"""Masks: parts of the band that need no cover, and the images that can be left out for them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _spans(mask: AngleBox, azimuth_min_deg: float, span_deg: float) -> bool:
 
 
 def thinned(camera: Camera, constraints: Constraints, shots: Sequence[Shot]) -> tuple[Shot, ...]:
-    """The shots without those that can be spared because of masks; the certificate decides.
+    """The shots without those that can be left out because of masks; the certificate decides.
 
     Those that see the least of what needs cover are tried first: all that see nothing of it at once, then one by one.
     """

@@ -78,7 +78,7 @@ def verdict(findings: Findings, area: str, check: str) -> tuple[str, str]:
 
 def test_a_storage_that_can_be_used(tmp_path: Path) -> None:
     findings = Findings()
-    machine.examine_machine(a_config(tmp_path / "new"), tmp_path / "c.toml", findings)
+    machine.check_machine(a_config(tmp_path / "new"), tmp_path / "c.toml", findings)
     assert verdict(findings, "disk", "storage")[0] == "ok"
     assert verdict(findings, "disk", "room")[0] == "ok"
     assert verdict(findings, "clock", "date")[0] == "ok"
@@ -87,20 +87,20 @@ def test_a_storage_that_can_be_used(tmp_path: Path) -> None:
 
 def test_a_storage_that_cannot_be_written_and_one_without_room(tmp_path: Path) -> None:
     findings = Findings()
-    machine.examine_disk(a_config(Path("/proc/nowhere")), findings)
+    machine.check_disk(a_config(Path("/proc/nowhere")), findings)
     kind, text = verdict(findings, "disk", "storage")
     assert kind == "missing"
     assert "/proc/nowhere" in text
     assert "[storage] path" in text
     findings = Findings()
-    machine.examine_disk(Config.model_validate({"storage": {"path": tmp_path, "min_free_mb": 1e12}}), findings)
+    machine.check_disk(Config.model_validate({"storage": {"path": tmp_path, "min_free_mb": 1e12}}), findings)
     assert verdict(findings, "disk", "room")[0] == "missing"
 
 
 def test_a_slow_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, "_sync_time", lambda _: 0.5)
     findings = Findings()
-    machine.examine_disk(a_config(tmp_path), findings)
+    machine.check_disk(a_config(tmp_path), findings)
     assert verdict(findings, "disk", "speed")[0] == "warning"
 
 
@@ -119,7 +119,7 @@ def test_a_clock_that_cannot_be_right(
         (tmp_path / "missions" / mission).mkdir(parents=True)
     monkeypatch.setattr(time, "time", now.timestamp)
     findings = Findings()
-    machine.examine_clock(tmp_path, findings)
+    machine.check_clock(tmp_path, findings)
     assert verdict(findings, "clock", "date")[0] == kind
 
 
@@ -129,7 +129,7 @@ def test_a_clock_that_nobody_sets(
 ) -> None:
     monkeypatch.setattr(machine, "clock_synchronised", lambda: answer)
     findings = Findings()
-    machine.examine_clock(tmp_path, findings)
+    machine.check_clock(tmp_path, findings)
     assert verdict(findings, "clock", "synchronised")[0] == kind
 
 
@@ -150,7 +150,7 @@ def test_root_is_told_how_to_look_as_the_service(
     monkeypatch.setattr(os, "geteuid", lambda: 0)
     monkeypatch.setattr(Path, "owner", lambda _: "panoexec")
     findings = Findings()
-    machine.examine_permissions(a_config(tmp_path, vehicle=vehicle), tmp_path / "c.toml", findings)
+    machine.check_permissions(a_config(tmp_path, vehicle=vehicle), tmp_path / "c.toml", findings)
     (finding,) = findings.all
     assert finding.verdict == "warning"
     assert finding.advice == f"{user} --config {tmp_path / 'c.toml'}"
@@ -165,12 +165,12 @@ def test_serial_devices_must_be_there_and_ours(tmp_path: Path, monkeypatch: pyte
         camera={"trigger": "serial", "serial_port": str(tmp_path / "gone")},
     )
     findings = Findings()
-    machine.examine_permissions(config, tmp_path / "c.toml", findings)
+    machine.check_permissions(config, tmp_path / "c.toml", findings)
     assert verdict(findings, "permissions", "vehicle.connection")[0] == "ok"
     assert verdict(findings, "permissions", "camera.serial_port")[0] == "missing"
     monkeypatch.setattr(os, "access", lambda *_: False)
     findings = Findings()
-    machine.examine_permissions(config, tmp_path / "c.toml", findings)
+    machine.check_permissions(config, tmp_path / "c.toml", findings)
     kind, text = verdict(findings, "permissions", "vehicle.connection")
     assert kind == "missing"
     assert "usermod -aG" in text

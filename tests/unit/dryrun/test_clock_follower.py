@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from panoexec.adapters.link.message_hub import Handler, MavMessage
 from panoexec.clock import VehicleClock
-from panoexec.dryrun.clock_follower import AUTOPILOT, WORK_S, Follower, Haste
+from panoexec.dryrun.clock_follower import AUTOPILOT, WORK_S, ClockFollower, Haste
 from panoexec.errors import DeviceError
 
 
@@ -32,7 +32,7 @@ class Autopilot:
 
 async def test_the_mission_lives_the_autopilots_time_across_its_restarts() -> None:
     clock, autopilot = VehicleClock(), Autopilot()
-    with Follower(clock).following(autopilot):
+    with ClockFollower(clock).following(autopilot):
         autopilot.tell(7.0)
         assert clock.monotonic() == 7.0
         autopilot.tell(99.0, component=154)  # a payload has its own
@@ -52,7 +52,7 @@ async def test_nobody_waits_for_a_dead_autopilot(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("panoexec.dryrun.clock_follower._LOOK_S", 0.01)
     clock, autopilot = VehicleClock(), Autopilot()
     async with asyncio.timeout(20):
-        with Follower(clock).following(autopilot):
+        with ClockFollower(clock).following(autopilot):
             autopilot.tell(7.0)
             told_s = clock.monotonic()
             await clock.sleep(0.1)
@@ -68,7 +68,7 @@ async def test_an_autopilot_that_is_too_fast_for_its_commands_is_asked_to_slow_d
         slower.set()
         raise DeviceError("which may fail")
 
-    follower = Follower(clock)
+    follower = ClockFollower(clock)
     now_s = 7.0
     async with asyncio.timeout(20):
         with follower.following(autopilot):

@@ -13,7 +13,7 @@ import pytest
 
 from panoexec.adapters.link.message_hub import Handler, MavMessage
 from panoexec.clock import VehicleClock
-from panoexec.dryrun.lockstep import AHEAD_S, BEGIN_EVERY_S, STEP_S, Timekeeper
+from panoexec.dryrun.lockstep import AHEAD_S, BEGIN_EVERY_S, STEP_S, Lockstep
 from panoexec.sim.pacing import TIME_COMPONENT, TIME_MESSAGE, TIME_NAME, time_fields
 
 
@@ -66,9 +66,9 @@ class VehicleInAThread:
 
 
 @contextlib.asynccontextmanager
-async def together(vehicle: VehicleInAThread) -> AsyncIterator[tuple[VehicleClock, Timekeeper]]:
+async def together(vehicle: VehicleInAThread) -> AsyncIterator[tuple[VehicleClock, Lockstep]]:
     clock = VehicleClock()
-    keeper = Timekeeper(clock, vehicle.allow, speedup=20.0)
+    keeper = Lockstep(clock, vehicle.allow, speedup=20.0)
     try:
         async with asyncio.timeout(30):
             with keeper.keeping(vehicle):
@@ -158,7 +158,7 @@ async def test_before_the_first_word_the_vehicle_goes_on_in_real_time() -> None:
             enough.set()
 
     loop = asyncio.get_running_loop()
-    keeper = Timekeeper(clock, allow, speedup=20.0)
+    keeper = Lockstep(clock, allow, speedup=20.0)
     began_s = loop.time()
     async with asyncio.timeout(20):
         with keeper.keeping(_Nobody()):

@@ -11,7 +11,7 @@ import pytest
 from panoexec.devices import Severity
 from panoexec.errors import MissionError
 from panoexec.mission.log.states import MissionState
-from panoexec.mission.pilot_messages import FAREWELL_S, PAUSES, PilotVoice, Saying
+from panoexec.mission.pilot_messages import FAREWELL_S, PAUSES, PilotMessage, PilotMessenger
 from panoexec.store.session import Devices, MissionSession, create_mission, open_mission
 from tests.unit.fakes.virtual import run_virtual
 from tests.unit.fakes.world import World, a_world, some_settings
@@ -146,9 +146,9 @@ def test_a_link_that_takes_no_words_keeps_no_mission_waiting(tmp_path: Path) -> 
 def test_the_oldest_words_are_dropped_when_too_many_wait() -> None:
     async def main() -> None:
         async with a_world() as world:
-            voice = PilotVoice(vehicle=world.vehicle, record=world.record_of_journal())
+            voice = PilotMessenger(vehicle=world.vehicle, record=world.record_of_journal())
             for number in range(50):
-                voice.tell(Saying(str(number), Severity.INFO))
+                voice.tell(PilotMessage(str(number), Severity.INFO))
             await voice.farewell()
             assert [text for _, text in world.vehicle.said] == [f"Pano: {number}" for number in range(30, 50)]
 

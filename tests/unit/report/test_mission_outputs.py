@@ -9,7 +9,7 @@ import pytest
 
 from panoexec.errors import InputFileError, UsageError
 from panoexec.report import mission_outputs
-from panoexec.report.mission_outputs import write_leavings
+from panoexec.report.mission_outputs import write_mission_outputs
 from panoexec.store.directory import MissionDirectory, mission_directories
 from panoexec.store.session import Devices, MissionSession, create_mission
 from tests.unit.fakes.virtual import run_virtual
@@ -37,7 +37,7 @@ def a_mission(tmp_path: Path) -> MissionDirectory:
 
 
 def test_leaves_what_stitchers_work_from(directory: MissionDirectory) -> None:
-    write_leavings(directory)
+    write_mission_outputs(directory)
     assert {"panorama.pto", "papywizard.xml", "shots.csv"} <= {path.name for path in directory.path.iterdir()}
 
 
@@ -48,22 +48,22 @@ def test_one_that_fails_does_not_keep_the_others_from_being_written(
         raise UsageError("no ink")
 
     monkeypatch.setattr(
-        mission_outputs, "LEAVINGS", {"first": broken} | dict(mission_outputs.LEAVINGS) | {"last": broken}
+        mission_outputs, "MISSION_OUTPUTS", {"first": broken} | dict(mission_outputs.MISSION_OUTPUTS) | {"last": broken}
     )
     with pytest.raises(UsageError, match=r"^first: no ink; last: no ink$"):
-        write_leavings(directory)
+        write_mission_outputs(directory)
     assert (directory.path / "panorama.pto").exists()
 
 
 def test_names_a_manifest_that_is_damaged(directory: MissionDirectory) -> None:
     directory.manifest.write_text("{", encoding="utf-8")
     with pytest.raises(InputFileError, match=r"manifest\.json"):
-        write_leavings(directory)
+        write_mission_outputs(directory)
 
 
 def test_the_page_for_people_is_among_them(directory: MissionDirectory) -> None:
     """Of a flown mission, with the journal's times and the battery's history."""
-    write_leavings(directory)
+    write_mission_outputs(directory)
     page = directory.report.read_text(encoding="utf-8")
     data = json.loads(page.split('id="data">')[1].split("</script>")[0])
     assert data["notes"] == []

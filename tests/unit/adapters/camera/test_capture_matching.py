@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from panoexec.adapters.camera.capture_matching import Capture, CaptureLedger, Report, Source, StampClock
+from panoexec.adapters.camera.capture_matching import Capture, CaptureMatcher, Report, Source, StampClock
 from panoexec.devices import CaptureEvidence, EvidenceLevel
 from panoexec.errors import DeviceError
 from tests.unit.fakes.virtual import VirtualClock, run_virtual
@@ -30,7 +30,7 @@ def report(
     return Report(source=source, evidence=evidence, exposed_s=exposed_s, success=success)
 
 
-def fired(ledger: CaptureLedger, number: int, commanded_s: float, *, final: bool = False) -> Capture:
+def fired(ledger: CaptureMatcher, number: int, commanded_s: float, *, final: bool = False) -> Capture:
     capture = Capture(number, clock=VirtualClock(), final=final)
     capture.commanded(commanded_s)
     ledger.enter(capture)
@@ -46,7 +46,7 @@ ACKNOWLEDGED = (EvidenceLevel.ACKNOWLEDGED, -1)
 
 
 def test_levels_rise_and_never_fall_and_the_best_report_wins() -> None:
-    ledger = CaptureLedger()
+    ledger = CaptureMatcher()
     capture = Capture(1, clock=VirtualClock())
     capture.commanded(10.0)
     assert capture.known == CaptureEvidence(level=EvidenceLevel.COMMANDED, received_s=10.0)
@@ -64,7 +64,7 @@ def test_levels_rise_and_never_fall_and_the_best_report_wins() -> None:
 
 
 def test_the_same_index_twice_is_one_photo() -> None:
-    ledger = CaptureLedger()
+    ledger = CaptureMatcher()
     first, second = fired(ledger, 1, 10.0), fired(ledger, 2, 12.0)
     for received_s in (10.2, 10.4, 12.6):  # the last one comes after the next trigger
         ledger.report(report(5, received_s, exposed_s=10.1))
@@ -75,7 +75,7 @@ def test_the_same_index_twice_is_one_photo() -> None:
 
 
 def test_time_decides_when_a_report_was_lost() -> None:
-    ledger = CaptureLedger()
+    ledger = CaptureMatcher()
     first, second = fired(ledger, 1, 10.0), fired(ledger, 2, 12.0)
     ledger.report(report(5, 12.3, exposed_s=12.1))
     assert known(first) == ACKNOWLEDGED
@@ -86,7 +86,7 @@ def test_time_decides_when_a_report_was_lost() -> None:
 
 
 def test_time_decides_when_a_report_is_late() -> None:
-    ledger = CaptureLedger()
+    ledger = CaptureMatcher()
     first, second = fired(ledger, 1, 10.0), fired(ledger, 2, 12.0)
     ledger.report(report(4, 12.2, exposed_s=10.1))
     assert (known(first), known(second)) == ((CAPTURED, 4), ACKNOWLEDGED)
@@ -94,7 +94,7 @@ def test_time_decides_when_a_report_is_late() -> None:
 
 @pytest.mark.parametrize("exposed_s", [9.5, 10.3, 21.0], ids=["before ours", "second for one trigger", "long after"])
 def test_a_photo_that_is_not_ours_proves_nothing(exposed_s: float) -> None:
-    ledger = CaptureLedger()
+    ledger = CaptureMatcher()
     if exposed_s < 10.0 or exposed_s > 20.0:
         capture = fired(ledger, 1, 10.0)
         assert ledger.report(report(8, 22.0, exposed_s=exposed_s)) is None
@@ -108,7 +108,7 @@ def test_a_photo_that_is_not_ours_proves_nothing(exposed_s: float) -> None:
 
 
 def test_without_time_the_index_decides_once_one_is_known() -> None:
-    ledger = CaptureLedger()
+    ledger = CaptureMatcher()
     first = fired(ledger, 1, 10.0)
     ledger.report(report(100, 10.5))
     second, third = fired(ledger, 2, 12.0), fired(ledger, 3, 14.0)
@@ -119,7 +119,7 @@ def test_without_time_the_index_decides_once_one_is_known() -> None:
 
 
 def test_without_time_and_index_the_oldest_is_served_first() -> None:
-    ledger = CaptureLedger()
+    ledger = CaptureMatcher()
     first, second = fired(ledger, 1, 10.0), fired(ledger, 2, 11.0)
     ledger.report(report(-1, 11.5, url="a"))
     ledger.report(report(-1, 11.6, url="b"))
@@ -127,7 +127,7 @@ def test_without_time_and_index_the_oldest_is_served_first() -> None:
 
 
 def test_a_camera_that_rebooted_counts_from_one_again() -> None:
-    ledger = CaptureLedger()
+    ledger = CaptureMatcher()
     first = fired(ledger, 1, 10.0)
     ledger.report(report(1, 10.2, exposed_s=10.1))
     second = fired(ledger, 2, 90.0)
@@ -137,7 +137,7 @@ def test_a_camera_that_rebooted_counts_from_one_again() -> None:
 
 
 def test_a_refused_trigger_gets_no_photo() -> None:
-    ledger = CaptureLedger()
+    ledger = CaptureMatcher()
     refused = fired(ledger, 1, 10.0)
     ledger.withdraw(refused)
     ledger.withdraw(refused)
@@ -145,7 +145,7 @@ def test_a_refused_trigger_gets_no_photo() -> None:
 
 
 def test_a_count_proves_the_newest_trigger_and_the_first_count_nothing() -> None:
-    ledger = CaptureLedger()
+    ledger = CaptureMatcher()
     before = fired(ledger, 1, 5.0)
     ledger.counted(40, 9.0)
     lost, taken = fired(ledger, 2, 10.0), fired(ledger, 3, 12.0)
@@ -165,7 +165,7 @@ def test_a_count_proves_the_newest_trigger_and_the_first_count_nothing() -> None
 
 def test_evidence_comes_when_it_is_there_and_the_best_there_is_at_the_end() -> None:
     async def main() -> None:
-        clock, ledger = VirtualClock(), CaptureLedger()
+        clock, ledger = VirtualClock(), CaptureMatcher()
         now = clock.monotonic()
         good, poor = fired(ledger, 1, now), fired(ledger, 2, now)
         loop = asyncio.get_running_loop()
@@ -186,7 +186,7 @@ def test_evidence_comes_when_it_is_there_and_the_best_there_is_at_the_end() -> N
 
 def test_evidence_does_not_wait_for_what_cannot_come() -> None:
     async def main() -> None:
-        clock, ledger = VirtualClock(), CaptureLedger()
+        clock, ledger = VirtualClock(), CaptureMatcher()
         now = clock.monotonic()
         cable = fired(ledger, 1, now, final=True)
         assert (await cable.evidence(CAPTURED, 8.0)).level is EvidenceLevel.ACKNOWLEDGED
@@ -243,7 +243,7 @@ def test_no_photo_is_ever_credited_to_another_trigger(
 ) -> None:
     """Photos lost, reports lost, doubled, delayed past later triggers and shuffled; the index is the truth."""
     rng = random.Random(seed)
-    ledger = CaptureLedger()
+    ledger = CaptureMatcher()
     stamps = StampClock()
     boot = rng.uniform(-1000, 1000)
     arrivals: list[tuple[float, float, int, int]] = []

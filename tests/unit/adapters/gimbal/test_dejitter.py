@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from panoexec.adapters.gimbal.dejitter import SteadyStamps
+from panoexec.adapters.gimbal.dejitter import StampDejitter
 
 PERIOD_S = 0.02
 
 
 def test_a_burst_keeps_the_spacing_of_its_sender() -> None:
-    stamps = SteadyStamps()
+    stamps = StampDejitter()
     sent = [100 + i * PERIOD_S for i in range(60)]
     # messages 30 to 41 are all delivered when the twelfth of them has been sent
     arrived = [max(s, sent[41]) if 30 <= i <= 41 else s for i, s in enumerate(sent)]
@@ -22,13 +22,13 @@ def test_a_burst_keeps_the_spacing_of_its_sender() -> None:
 
 
 def test_a_real_silence_stays_one() -> None:
-    stamps = SteadyStamps()
+    stamps = StampDejitter()
     told = [stamps.sent_s(s, s + 5) for s in (1.00, 1.02, 1.04, 1.34, 1.36)]
     assert told[3] - told[2] == pytest.approx(0.3)
 
 
 def test_a_clock_that_runs_slower_is_followed() -> None:
-    stamps = SteadyStamps()
+    stamps = StampDejitter()
     # a simulation that reaches 80 % of the speed asked for
     for i in range(500):
         received_s = i * PERIOD_S / 0.8
@@ -38,13 +38,13 @@ def test_a_clock_that_runs_slower_is_followed() -> None:
 
 @pytest.mark.parametrize("stamp_s", [math.nan, 0.0])
 def test_stamps_that_tell_nothing_leave_the_arrival(stamp_s: float) -> None:
-    stamps = SteadyStamps()
+    stamps = StampDejitter()
     stamps.sent_s(stamp_s, 1.0)
     assert [stamps.sent_s(stamp_s, t) for t in (2.0, 3.0)] == [2.0, 3.0]
 
 
 def test_a_reboot_begins_anew() -> None:
-    stamps = SteadyStamps()
+    stamps = StampDejitter()
     stamps.sent_s(500.0, 10.0)
     stamps.sent_s(500.02, 10.02)
     assert stamps.sent_s(0.5, 20.0) == 20.0
@@ -53,7 +53,7 @@ def test_a_reboot_begins_anew() -> None:
 
 @given(st.lists(st.tuples(st.floats(0.001, 0.1), st.floats(0, 0.4)), min_size=2, max_size=80))
 def test_never_later_than_the_arrival_and_never_back(steps: list[tuple[float, float]]) -> None:
-    stamps = SteadyStamps()
+    stamps = StampDejitter()
     sent_s = received_s = before = 0.0
     for period_s, delay_s in steps:
         sent_s += period_s

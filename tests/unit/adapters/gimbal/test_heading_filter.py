@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from panoexec.adapters.gimbal.heading_filter import HeadingBlend
+from panoexec.adapters.gimbal.heading_filter import HeadingFilter
 
 RATE_HZ = 50.0
 
@@ -18,7 +18,7 @@ def wrapped(angle_deg: float) -> float:
 
 def errors(delay_s: float, drift_deg_s: float = 0.0, offset_deg: float = 0.0, seconds: float = 60.0) -> list[float]:
     """Errors of the blend when the autopilot's heading is always `delay_s` late and the gimbal's drifts."""
-    blend = HeadingBlend()
+    blend = HeadingFilter()
     out = []
     for step in range(int(seconds * RATE_HZ)):
         now = step / RATE_HZ
@@ -39,7 +39,7 @@ def test_a_drifting_gimbal_does_not_carry_the_heading_away() -> None:
 
 
 def test_a_gimbal_that_sets_its_heading_anew_is_followed_at_once() -> None:
-    blend = HeadingBlend()
+    blend = HeadingFilter()
     for step in range(200):
         blend.vehicle(100.0, step / RATE_HZ)
         told = 130.0 if step < 100 else 99.0
@@ -48,13 +48,13 @@ def test_a_gimbal_that_sets_its_heading_anew_is_followed_at_once() -> None:
 
 @pytest.mark.parametrize("told", [0.0, math.nan])
 def test_what_is_not_told_is_not_used(told: float) -> None:
-    blend = HeadingBlend()
+    blend = HeadingFilter()
     blend.vehicle(10.0, 0.0)
     assert math.isnan(blend.gimbal(told, 0.1))
 
 
 def test_without_a_fresh_heading_of_the_autopilot_there_is_none() -> None:
-    blend = HeadingBlend()
+    blend = HeadingFilter()
     assert math.isnan(blend.gimbal(10.0, 0.0))
     blend.vehicle(10.0, 1.0)
     assert blend.gimbal(10.0, 1.5) == pytest.approx(10.0)
@@ -66,7 +66,7 @@ def test_without_a_fresh_heading_of_the_autopilot_there_is_none() -> None:
 @pytest.mark.parametrize("rate_hz", [50.0, 10.0, 7.0])
 def test_an_autopilot_that_tells_its_heading_seldom_is_compared_only_at_its_moments(rate_hz: float) -> None:
     """A nose that turns on and on, 15° a second: a heading 100 ms old would be taken for 1.5° of drift."""
-    blend = HeadingBlend()
+    blend = HeadingFilter()
     told_s, worst = -1.0, 0.0
     for step in range(int(40 * RATE_HZ)):
         now = step / RATE_HZ
@@ -83,6 +83,6 @@ def test_an_autopilot_that_tells_its_heading_seldom_is_compared_only_at_its_mome
 @pytest.mark.parametrize(("early_s", "known"), [(0.0, True), (0.05, True), (0.5, False)])
 def test_an_autopilots_word_that_seems_a_little_later_counts(early_s: float, known: bool) -> None:
     """The two senders' clocks are known to some milliseconds only."""
-    blend = HeadingBlend()
+    blend = HeadingFilter()
     blend.vehicle(30.0, 10.0 + early_s)
     assert math.isfinite(blend.gimbal(31.0, 10.0)) is known

@@ -2,7 +2,7 @@ import asyncio
 import threading
 from collections.abc import Callable
 
-from panoexec.adapters.link.batching import ReportInbox
+from panoexec.adapters.link.batching import MessageBatcher
 from panoexec.adapters.link.message_hub import MavMessage
 
 
@@ -19,7 +19,7 @@ def numbers(messages: list[MavMessage]) -> list[int]:
 def test_messages_gather_until_somebody_looks_or_they_have_waited_for_long() -> None:
     taken: list[MavMessage] = []
     posted: list[Callable[[], None]] = []
-    inbox = ReportInbox(taken.append, post=posted.append, eager=lambda: False)
+    inbox = MessageBatcher(taken.append, post=posted.append, eager=lambda: False)
     for number in range(40):
         inbox.put(message(number, later_s=-10.0))
     assert (taken, posted) == ([], [])
@@ -38,7 +38,7 @@ def test_messages_gather_until_somebody_looks_or_they_have_waited_for_long() -> 
 def test_somebody_who_waits_is_woken_by_the_next_one() -> None:
     taken: list[MavMessage] = []
     posted: list[Callable[[], None]] = []
-    inbox = ReportInbox(taken.append, post=posted.append, eager=lambda: True)
+    inbox = MessageBatcher(taken.append, post=posted.append, eager=lambda: True)
     for number in range(3):
         inbox.put(message(number))
     assert len(posted) == 1
@@ -63,7 +63,7 @@ async def test_nothing_is_lost_or_overtaken_in_a_storm_from_another_thread() -> 
     def post(callback: Callable[[], None]) -> None:
         loop.call_soon_threadsafe(callback)
 
-    inbox = ReportInbox(take, post=post, eager=lambda: waiting)
+    inbox = MessageBatcher(take, post=post, eager=lambda: waiting)
 
     def storm() -> None:
         for number in range(count):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from panoexec.adapters.link.bpf_filter import DatagramMute
+from panoexec.adapters.link.bpf_filter import DatagramFilter
 from panoexec.adapters.link.connection_url import parse_connection
 
 GIMBAL = 285
@@ -41,8 +41,8 @@ def descriptors() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
 
 
-def mute_on(listening: socket.socket) -> DatagramMute:
-    return DatagramMute(parse_connection(f"udpin://127.0.0.1:{listening.getsockname()[1]}"), GIMBAL)
+def mute_on(listening: socket.socket) -> DatagramFilter:
+    return DatagramFilter(parse_connection(f"udpin://127.0.0.1:{listening.getsockname()[1]}"), GIMBAL)
 
 
 def test_drops_that_message_alone(listening: socket.socket) -> None:
@@ -76,7 +76,7 @@ def test_leaves_other_links_alone_and_no_descriptor_open(listening: socket.socke
     before = descriptors()
     port = listening.getsockname()[1]
     for url in (f"udpout://127.0.0.1:{port}", f"tcpin://127.0.0.1:{port}", "serial:///dev/ttyACM0:57600"):
-        DatagramMute(parse_connection(url), GIMBAL).mute()
+        DatagramFilter(parse_connection(url), GIMBAL).mute()
     assert heard(listening, frame(GIMBAL)) == [frame(GIMBAL)]
     mute_on(listening).mute()
     assert descriptors() == before

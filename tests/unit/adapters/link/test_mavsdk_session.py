@@ -9,7 +9,7 @@ import pytest
 
 from panoexec.adapters.link import mavsdk_session
 from panoexec.adapters.link.connection_url import parse_connection
-from panoexec.adapters.link.mavsdk_session import VendorSession
+from panoexec.adapters.link.mavsdk_session import MavsdkSession
 from panoexec.adapters.link.worker_calls import WorkerCalls
 
 
@@ -46,7 +46,7 @@ async def test_what_is_made_after_a_cancelled_opening_is_destroyed(monkeypatch: 
     monkeypatch.setattr(mavsdk_session, "Mavsdk", FakeMavsdk)
     monkeypatch.setattr(mavsdk_session, "Configuration", FakeConfiguration)
     calls = WorkerCalls("test")
-    session = VendorSession(parse_connection("udpin://127.0.0.1:1"), calls)
+    session = MavsdkSession(parse_connection("udpin://127.0.0.1:1"), calls)
     opening = asyncio.create_task(session.open(1, 191))
     assert await asyncio.to_thread(FakeMavsdk.begun.wait, 30)
     opening.cancel()

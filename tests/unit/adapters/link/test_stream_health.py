@@ -1,17 +1,17 @@
 import itertools
 
-from panoexec.adapters.link.stream_health import BootWatch, Stream, StreamWatch
+from panoexec.adapters.link.stream_health import RebootDetector, Stream, StreamHealth
 
 STREAM = Stream(message_id=285, name="GIMBAL_DEVICE_ATTITUDE_STATUS", rate_hz=50.0, idle_rate_hz=5.0)
 
 
-def flowing(watch: StreamWatch, now_s: float, hz: float = 50.0) -> None:
+def flowing(watch: StreamHealth, now_s: float, hz: float = 50.0) -> None:
     watch.note(now_s)
     watch.settle(hz, now_s)
 
 
 def test_a_boot_time_that_runs_backwards_is_a_reboot_and_an_overtaken_message_is_none() -> None:
-    boots = BootWatch()
+    boots = RebootDetector()
     assert [boots.note(t) for t in (5.0, 100.0, 99.2, 100.1, 3.0, 2.5, 4.0, 1.2)] == [
         *[False] * 4,
         True,
@@ -22,7 +22,7 @@ def test_a_boot_time_that_runs_backwards_is_a_reboot_and_an_overtaken_message_is
 
 
 def test_a_stream_is_asked_for_once_and_left_alone_while_it_flows() -> None:
-    watch = StreamWatch(STREAM)
+    watch = StreamHealth(STREAM)
     assert watch.due(50.0, 0.0)
     watch.asked(50.0, 0.0, granted=True)
     assert not watch.due(50.0, 0.5)
@@ -33,7 +33,7 @@ def test_a_stream_is_asked_for_once_and_left_alone_while_it_flows() -> None:
 
 
 def test_another_rate_is_asked_for_at_once() -> None:
-    watch = StreamWatch(STREAM)
+    watch = StreamHealth(STREAM)
     watch.asked(50.0, 0.0, granted=True)
     flowing(watch, 0.1)
     assert watch.due(5.0, 0.1)
@@ -43,7 +43,7 @@ def test_another_rate_is_asked_for_at_once() -> None:
 
 
 def test_silence_is_answered_with_growing_patience() -> None:
-    watch = StreamWatch(STREAM)
+    watch = StreamHealth(STREAM)
     watch.asked(50.0, 0.0, granted=True)
     asked = []
     for tick in range(400):
@@ -62,7 +62,7 @@ def test_silence_is_answered_with_growing_patience() -> None:
 
 
 def test_a_slow_stream_is_not_silent_between_two_messages() -> None:
-    watch = StreamWatch(STREAM)
+    watch = StreamHealth(STREAM)
     watch.asked(0.5, 0.0, granted=True)
     watch.note(0.0)
     assert not watch.due(0.5, 9.0)
@@ -70,7 +70,7 @@ def test_a_slow_stream_is_not_silent_between_two_messages() -> None:
 
 
 def test_a_refusal_is_final_for_half_a_minute() -> None:
-    watch = StreamWatch(STREAM)
+    watch = StreamHealth(STREAM)
     watch.asked(50.0, 0.0, granted=False)
     assert watch.refused
     assert not watch.due(50.0, 29.0)
@@ -78,7 +78,7 @@ def test_a_refusal_is_final_for_half_a_minute() -> None:
 
 
 def test_no_answer_is_tried_again() -> None:
-    watch = StreamWatch(STREAM)
+    watch = StreamHealth(STREAM)
     watch.asked(50.0, 0.0, granted=None)
     assert not watch.refused
     assert not watch.due(50.0, 0.5)
@@ -86,7 +86,7 @@ def test_no_answer_is_tried_again() -> None:
 
 
 def test_after_a_reboot_everything_is_asked_for_at_once() -> None:
-    watch = StreamWatch(STREAM)
+    watch = StreamHealth(STREAM)
     watch.asked(50.0, 0.0, granted=True)
     flowing(watch, 0.1)
     watch.forget()

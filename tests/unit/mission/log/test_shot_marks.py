@@ -6,7 +6,7 @@ import pytest
 
 from panoexec.mission.executor import Mission
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.shot_marks import Standing, Standings, standing_of, standings_from_text, standings_text
+from panoexec.mission.log.shot_marks import ShotMark, ShotMarks, mark_of, marks_from_text, marks_text
 from tests.unit.fakes.flying import drift_at, fly, until_event
 from tests.unit.fakes.world import World, a_plan
 
@@ -20,7 +20,7 @@ def test_a_mission_on_its_way_tells_all_its_shots() -> None:
             for event in world.sink.events[noted:]:
                 kept.note(event)
             noted = len(world.sink.events)
-            texts.append(standings_text(mission.record))
+            texts.append(marks_text(mission.record))
             if noted == mission.record.seq:  # all that is known was announced
                 assert kept.text(mission.record) == texts[-1]
                 compared.append(texts[-1])
@@ -31,23 +31,23 @@ def test_a_mission_on_its_way_tells_all_its_shots() -> None:
 
     texts: list[str] = []
     compared: list[str] = []
-    kept = Standings()
+    kept = ShotMarks()
     assert kept.text(None) == ""
     world = fly(script, prepare, plan=a_plan(6))
     assert len(set(compared)) > 4
     other = world.record_of_journal()
-    assert kept.text(other) == standings_text(other)  # of another mission
+    assert kept.text(other) == marks_text(other)  # of another mission
     assert "d1 a1 t2 m1 t1" in texts or "d1 c1 t2 m1 t1" in texts
     assert "d1 r1 c1 t1 m1 t1" in texts
     record = world.record
-    here = [standing_of(shot, current=index == record.current) for index, shot in sorted(record.shots.items())]
-    assert standings_from_text(standings_text(record), count=6) == here
+    here = [mark_of(shot, current=index == record.current) for index, shot in sorted(record.shots.items())]
+    assert marks_from_text(marks_text(record), count=6) == here
 
 
 def test_what_is_to_be_taken_again() -> None:
     async def script(world: World, mission: Mission) -> None:
         await until_event(world, ev.ShotRejected)
-        texts.append(standings_text(mission.record))
+        texts.append(marks_text(mission.record))
 
     def prepare(world: World) -> None:
         drift_at(world, -180.0, until_s=world.clock.monotonic() + 4.0)
@@ -55,21 +55,21 @@ def test_what_is_to_be_taken_again() -> None:
     texts: list[str] = []
     world = fly(script, prepare)
     assert texts[0] in {"a1 t3", "c1 t3"}
-    assert standings_text(world.record) == "r1 d3"
+    assert marks_text(world.record) == "r1 d3"
 
 
 @pytest.mark.parametrize("text", ["", "d", "x3", "d3 ", "d-3", "d0 t3", "d2", "d99999999999", "d1 d1 d2", "d3\n"])
 def test_what_is_no_such_text_tells_nothing(text: str) -> None:
-    assert standings_from_text(text, count=3) == []
+    assert marks_from_text(text, count=3) == []
 
 
 def test_every_letter_is_read() -> None:
-    assert standings_from_text("d1 r1 c1 a1 m1 t2", count=7) == [
-        Standing.DONE,
-        Standing.RETAKEN,
-        Standing.CURRENT,
-        Standing.AGAIN,
-        Standing.MISSING,
-        Standing.TO_DO,
-        Standing.TO_DO,
+    assert marks_from_text("d1 r1 c1 a1 m1 t2", count=7) == [
+        ShotMark.DONE,
+        ShotMark.RETAKEN,
+        ShotMark.CURRENT,
+        ShotMark.AGAIN,
+        ShotMark.MISSING,
+        ShotMark.TO_DO,
+        ShotMark.TO_DO,
     ]

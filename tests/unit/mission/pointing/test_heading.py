@@ -16,7 +16,7 @@ from panoexec.mission.guards import Situation, TurnGuard
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import Verdict
 from panoexec.mission.log.states import MissionState
-from panoexec.mission.pointing.heading import AVERAGED_S, GAIN, Turner
+from panoexec.mission.pointing.heading import AVERAGED_S, GAIN, HeadingController
 from panoexec.mission.settings import GuardSettings, MissionSettings
 from panoexec.planning.model import GimbalLimits, Shot, Turning
 from panoexec.planning.order.duration import turn_times_s
@@ -232,7 +232,7 @@ def test_a_correction_waits_until_the_nose_stands_and_is_bounded() -> None:
     async def main() -> None:
         clock = VirtualClock()
         vehicle = FakeVehicle(clock=clock)
-        turner = Turner(vehicle=vehicle, clock=clock, turning=TURNING, tolerance_yaw_deg=TOLERANCE.yaw_deg)
+        turner = HeadingController(vehicle=vehicle, clock=clock, turning=TURNING, tolerance_yaw_deg=TOLERANCE.yaw_deg)
         expected_s = await turner.begin([100.0], TWO_AXES)
         began_s = clock.monotonic()
         while clock.monotonic() < began_s + expected_s + AVERAGED_S - 0.1:
