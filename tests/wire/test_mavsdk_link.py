@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import os
 import pty
 import socket
@@ -77,7 +78,10 @@ async def test_after_a_reboot_everything_is_asked_for_again(autopilot: ScriptedP
     link.when_back(back.set)
     await autopilot.until(lambda: {30, 33} <= autopilot.streams.keys())
     autopilot.boot_at -= 3600  # an hour after boot
-    await asyncio.sleep(0.5)
+    heard_ms: list[int] = []
+    off = link.on("ATTITUDE", lambda message: heard_ms.append(message.fields["time_boot_ms"]))
+    await eventually(lambda: heard_ms and heard_ms[-1] >= 3_600_000)
+    off()
     assert link.boot_count == 0
     autopilot.reboot()
     assert not autopilot.streams
@@ -85,6 +89,14 @@ async def test_after_a_reboot_everything_is_asked_for_again(autopilot: ScriptedP
     async with asyncio.timeout(5):
         await back.wait()
     assert link.boot_count == 1
+
+
+async def test_a_reboot_right_after_power_on_is_detected(autopilot: ScriptedPeer, link: MavsdkLink) -> None:
+    """Its time since boot is longer than before when the autopilot is heard again: all streams must be requested."""
+    await eventually(lambda: any(math.isfinite(report.age_s) for report in link.streams.reports()))
+    autopilot.reboot()
+    await autopilot.until(lambda: {30, 33} <= autopilot.streams.keys(), 10)
+    await eventually(lambda: link.boot_count == 1, 10)
 
 
 async def test_a_lost_link_is_noticed_and_its_return_too(autopilot: ScriptedPeer, link: MavsdkLink) -> None:

@@ -120,7 +120,6 @@ async def test_a_reboot_takes_the_position_away_until_it_is_told_again(
     autopilot: ScriptedPeer, link: MavsdkLink
 ) -> None:
     async with MavsdkVehicle(link) as vehicle:
-        autopilot.boot_at -= 1000
         autopilot.send(ekf(16))
         await eventually(lambda: vehicle.status.position_ok)
         autopilot.reboot()

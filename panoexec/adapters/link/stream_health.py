@@ -46,19 +46,28 @@ DEFAULT_STREAMS: Final = (
 
 
 class RebootDetector:
-    """Notices reboots of the autopilot: its boot time runs backwards."""
+    """Detects reboots of the autopilot by the time since boot in its messages (`time_boot_ms`)."""
 
     def __init__(self) -> None:
         self.reboots = 0
-        """How many were noticed."""
+        """How many were detected."""
         self._newest_s = -math.inf
+        self._heard_s = math.inf
 
-    def note(self, boot_s: float) -> bool:
-        """Take the boot time of a message; True if the autopilot rebooted since the last one.
+    def note(self, boot_s: float, heard_s: float) -> bool:
+        """Take the time since boot of a message; True if the autopilot rebooted since the last message.
 
-        Messages overtake each other by less than a second, so that much backwards is no reboot.
+        Two signs: the time runs backwards by more than messages overtake each other, or the autopilot has been up for
+        no longer than it was silent. The second one finds the reboot of an autopilot that had only just started: it
+        forgets its message intervals, and when it is heard again it is already up for longer than before.
+
+        Args:
+            boot_s: time since boot, seconds.
+            heard_s: when the message arrived, monotonic seconds.
         """
-        rebooted = boot_s < self._newest_s - _BOOT_BACK_S
+        silent_s = heard_s - self._heard_s
+        self._heard_s = heard_s
+        rebooted = boot_s < self._newest_s - _BOOT_BACK_S or boot_s <= silent_s
         if rebooted:
             self.reboots += 1
         self._newest_s = boot_s if rebooted else max(self._newest_s, boot_s)

@@ -128,7 +128,7 @@ class StreamKeeper:
 
     def _arrived(self, watch: StreamHealth, message: MavMessage) -> None:
         watch.note(message.heard_s)
-        # a gimbal that is its own component stamps with its own boot time
+        # a gimbal that is its own component stamps with its own boot time; 0 is a sender that does not stamp
         boot_ms = message.fields.get("time_boot_ms") if message.component_id == AUTOPILOT else None
-        if boot_ms is not None and self.boots.note(boot_ms / 1000.0):
+        if boot_ms and self.boots.note(boot_ms / 1000.0, message.heard_s):
             self._rebooted()

@@ -12,13 +12,30 @@ def flowing(watch: StreamHealth, now_s: float, hz: float = 50.0) -> None:
 
 def test_a_boot_time_that_runs_backwards_is_a_reboot_and_an_overtaken_message_is_none() -> None:
     boots = RebootDetector()
-    assert [boots.note(t) for t in (5.0, 100.0, 99.2, 100.1, 3.0, 2.5, 4.0, 1.2)] == [
+    assert [boots.note(t, 1000.0 + 0.1 * i) for i, t in enumerate((5.0, 100.0, 99.2, 100.1, 3.0, 2.5, 4.0, 1.2))] == [
         *[False] * 4,
         True,
         *[False] * 2,
         True,
     ]
     assert boots.reboots == 2
+
+
+def test_a_reboot_soon_after_power_on_is_detected_although_the_time_since_boot_never_runs_backwards() -> None:
+    boots = RebootDetector()
+    assert not boots.note(0.4, 1000.0)
+    assert not boots.note(0.9, 1000.5)
+    # rebooted at 1000.6, heard again when the streams were requested anew
+    assert boots.note(2.7, 1003.3)
+    assert not boots.note(3.2, 1003.8)
+    assert boots.reboots == 1
+
+
+def test_silence_alone_and_late_messages_are_no_reboot() -> None:
+    boots = RebootDetector()
+    # the link is away for 30 s, then 3 s of queued messages arrive at once, then the clock runs 5 % slow for a minute
+    heard = [(40.0, 1000.0), (67.0, 1030.0), (68.0, 1030.0), (69.9, 1030.1), (126.9, 1090.1)]
+    assert not any(boots.note(boot_s, heard_s) for boot_s, heard_s in heard)
 
 
 def test_a_stream_is_asked_for_once_and_left_alone_while_it_flows() -> None:
