@@ -89,6 +89,9 @@ class CaptureEvidence:
         time_utc_s: wall time of the exposure if told, else NaN.
         latitude_deg, longitude_deg, altitude_m: position if told (altitude above mean sea level), else NaN.
         duplicates: how many further reports of the same photo were merged in.
+        exposed_s: start of the exposure on the mission's clock if it can be told, else NaN.
+        exposed_error_s: how far `exposed_s` may be wrong; NaN where it cannot be told.
+        contradiction: why this photo may be another one, "" if nothing speaks for that.
     """
 
     level: EvidenceLevel
@@ -101,6 +104,9 @@ class CaptureEvidence:
     longitude_deg: float = float("nan")
     altitude_m: float = float("nan")
     duplicates: int = 0
+    exposed_s: float = float("nan")
+    exposed_error_s: float = float("nan")
+    contradiction: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,13 +1,18 @@
 """Which report proves which photo. Pure bookkeeping of triggers and reports; lives on the event loop.
 
 Reports of one photo come from several senders (the camera itself, the autopilot's trigger, a counter), late, twice or
-not at all, and in between somebody else may take photos. A wrong match would call a photo proven that does not exist,
-or give it another one's file. So, in this order:
+not at all, and in between somebody else may take photos. The camera's clock may run slow or be stepped. A wrong match
+would call a photo proven that does not exist, or give it another one's file. So, in this order:
 
 * the same index from the same sender is the same photo (a duplicate);
-* a report that tells when the photo was exposed belongs to the last trigger before that;
-* a report without time belongs to the trigger that its index points to, counted from the last match;
-* else to the oldest trigger that has no report of this kind.
+* a report belongs to the trigger that its index points to, counted from the last match, if the exposure was not before
+  that trigger;
+* a report whose index points to no trigger belongs to the last trigger before its exposure;
+* a report without a date and without a usable index belongs to the oldest trigger that has no report of this sender.
+
+A report that fits no trigger while a trigger waits for its own is a contradiction: the camera is asked for its clock,
+the report is dated again, and if it still fits nothing the waiting triggers are marked. A marked trigger is proven by
+its own report alone, never by a count.
 """
 
 from __future__ import annotations
@@ -18,10 +23,12 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from statistics import median
 from typing import Final
 
 import structlog
 
+from panoexec.adapters.camera.camera_clock import CameraClock
 from panoexec.clock import Clock
 from panoexec.devices import CaptureEvidence, EvidenceLevel
 from panoexec.errors import DeviceError
@@ -31,6 +38,11 @@ _LATEST_EXPOSURE_S: Final = 10.0
 _LATEST_REPORT_S: Final = 60.0
 _SAME_PHOTO_S: Final = 1.0
 _KEEP: Final = 64
+_LATENCIES: Final = 9
+_SURE_S: Final = 0.25
+"""A date that may be wrong by more than this does not decide against the index."""
+_HELD_S: Final = 3.0
+"""How long a report that fits no trigger waits for the camera's clock to be related anew."""
 _FIRST_NUDGE_S: Final = 1.0
 
 _log = structlog.get_logger(__name__)
@@ -52,12 +64,14 @@ class Report:
         source: who reports.
         success: False if the sender says that there is no photo.
         exposed_s: start of the exposure on the mission's clock, NaN if that cannot be told.
+        error_s: how far `exposed_s` may be wrong.
         evidence: what it proves and tells.
     """
 
     source: Source
     evidence: CaptureEvidence
     exposed_s: float = math.nan
+    error_s: float = 0.0
     success: bool = True
 
     @property
@@ -75,6 +89,7 @@ class Capture:
         *,
         clock: Clock,
         nudge: Callable[[Capture], Awaitable[None]] | None = None,
+        synchronise: Callable[[], Awaitable[None]] | None = None,
         final: bool = False,
     ) -> None:
         """Describe a trigger that is about to go out.
@@ -83,6 +98,7 @@ class Capture:
             number: running number of the trigger.
             clock: of the mission.
             nudge: asks the camera for news, if it can be asked.
+            synchronise: asks the camera for a stamp of its clock, if the last one is old.
             final: nothing can ever become known of the photo.
         """
         self.number = number
@@ -92,6 +108,7 @@ class Capture:
         """A sender said that there is no photo."""
         self._clock = clock
         self._nudge = nudge
+        self._synchronise = synchronise
         self._final = final
         self._commanded_s = self._acknowledged_s = math.nan
         self._evidence = CaptureEvidence(level=EvidenceLevel.COMMANDED, received_s=math.nan)
@@ -126,9 +143,21 @@ class Capture:
         """The file that a report named is there."""
         self._merge(CaptureEvidence(level=EvidenceLevel.FILE_SEEN, received_s=time_s))
 
+    @property
+    def contradicted(self) -> bool:
+        """Whether the camera reported a photo that may be this one and may be another."""
+        return bool(self._evidence.contradiction)
+
+    def contradict(self, why: str) -> None:
+        """A photo was reported that fits no trigger, while this one waits for its report."""
+        self._evidence = replace(self._evidence, contradiction=why)
+        self._changed.set()
+
     def add(self, report: Report) -> None:
         """Take a report of this photo."""
         duplicate = bool(self.sources)
+        if report.source is not Source.COUNT:
+            self._evidence = replace(self._evidence, contradiction="")
         self.sources.setdefault(report.source, report)
         if not report.success:
             self.failed = True
@@ -160,6 +189,11 @@ class Capture:
     async def _ask(self) -> None:
         """A report may have been lost on the way: ask, with growing patience."""
         patience_s = _FIRST_NUDGE_S
+        if self._synchronise is not None:
+            try:
+                await self._synchronise()
+            except DeviceError as error:
+                _log.debug("camera clock request failed", number=self.number, error=str(error))
         while self._nudge is not None:
             await self._clock.sleep(patience_s)
             patience_s *= 2
@@ -186,14 +220,24 @@ class Capture:
             longitude_deg=told(best.longitude_deg, other.longitude_deg),
             altitude_m=told(best.altitude_m, other.altitude_m),
             duplicates=old.duplicates,
+            exposed_s=told(best.exposed_s, other.exposed_s),
+            exposed_error_s=other.exposed_error_s if math.isnan(best.exposed_s) else best.exposed_error_s,
+            contradiction=old.contradiction,
         )
         self._changed.set()
 
 
 class CaptureMatcher:
-    """All triggers of a camera, and the reports that came."""
+    """All triggers of a camera, and the reports that came.
 
-    def __init__(self) -> None:
+    Args:
+        clock: the camera's, by which its reports are dated.
+    """
+
+    def __init__(self, clock: CameraClock | None = None) -> None:
+        self._clock = clock or CameraClock()
+        self._held: list[Report] = []
+        self._latencies_s: deque[float] = deque(maxlen=_LATENCIES)
         self.surplus = 0
         """Photos that were reported but not triggered by us."""
         self._captures: deque[Capture] = deque(maxlen=_KEEP)
@@ -228,18 +272,56 @@ class CaptureMatcher:
                 if capture is not None:
                     capture.add(report)
                 return capture
+        if any(held.source is report.source and held.index == report.index for held in self._held):
+            return None
         capture = self._match(report)
+        if self._may_be_dated_anew(report, capture):
+            self._held.append(report)
+            return None
+        return self._settle(report, capture)
+
+    def _may_be_dated_anew(self, report: Report, capture: Capture | None) -> bool:
+        """Whether a trigger waits for a report that fits none, or whose date cannot be true."""
+        stamped = math.isfinite(report.evidence.exposed_vehicle_s)
+        impossible = stamped and self._clock.related and math.isnan(report.exposed_s)
+        return (impossible or (stamped and capture is None)) and bool(self._open(report))
+
+    def redate(self, now_s: float) -> None:
+        """The clocks were related anew, or that failed: date the reports that fitted no trigger again.
+
+        Args:
+            now_s: on the mission's clock; what has been held for long enough is settled either way.
+        """
+        held, self._held = self._held, []
+        for report in held:
+            exposed_s, error_s = self._clock.date(report.evidence.exposed_vehicle_s, report.evidence.received_s)
+            again = dated(report, exposed_s, error_s)
+            capture = self._match(again)
+            if self._may_be_dated_anew(again, capture) and now_s - report.evidence.received_s < _HELD_S:
+                self._held.append(report)
+            else:
+                self._settle(again, capture)
+
+    def _settle(self, report: Report, capture: Capture | None) -> Capture | None:
+        """Book a report on its trigger; on none, it is a photo of somebody else, or a contradiction."""
         if report.index >= 0:
-            self._seen[key] = (report, capture)
+            self._seen[report.source, report.index] = (report, capture)
             if len(self._seen) > 4 * _KEEP:
                 del self._seen[next(iter(self._seen))]
-        if capture is None:
-            self.surplus += 1
-            _log.warning("a photo that was not asked for", source=report.source, index=report.index)
-        else:
+        if capture is not None:
+            if math.isfinite(report.exposed_s):
+                self._latencies_s.append(report.exposed_s - capture.commanded_s)
             self._last_match[report.source] = (capture.number, report.index)
             capture.add(report)
-        return capture
+            return capture
+        self.surplus += 1
+        _log.warning("a photo that was not asked for", source=report.source, index=report.index)
+        number, index = self._last_match.get(report.source, (-1, -1))
+        if number >= 0 and report.index > index:  # the next photo of ours has an index beyond it
+            self._last_match[report.source] = (number, report.index)
+        for waiting in self._open(report):
+            waiting.contradict(f"the camera reported photo {report.index}, which fits no trigger")
+        return None
 
     def counted(self, images: int, received_s: float) -> None:
         """Take the camera's count of images: each one more proves one trigger since the first count, newest first.
@@ -255,6 +337,8 @@ class CaptureMatcher:
             for capture in reversed(self._captures)
             if capture.commanded_s > self._count_s
             and Source.COUNT not in capture.sources
+            and not capture.contradicted
+            and not self._held
             and received_s - capture.commanded_s < _LATEST_EXPOSURE_S
         ]
         for capture, _ in zip(waiting, range(images - before), strict=False):
@@ -262,16 +346,35 @@ class CaptureMatcher:
             capture.add(Report(source=Source.COUNT, evidence=evidence))
 
     def _match(self, report: Report) -> Capture | None:
-        if math.isfinite(report.exposed_s):
-            return self._match_by_time(report)
-        received_s = report.evidence.received_s
-        open_ones = [
-            capture
-            for capture in self._captures
-            if capture.commanded_s <= received_s
-            and received_s - capture.commanded_s < _LATEST_REPORT_S
-            and report.source not in capture.sources
-        ]
+        """The trigger of a report; None if it has none, or if index and time contradict each other."""
+        if math.isnan(report.exposed_s):
+            return self._match_undated(report)
+        pointed, dated = self._by_index(report), self._by_time(report)
+        if pointed is dated:
+            return dated
+        if pointed is None:
+            return dated if self._is_usual(report, dated) or report.source not in self._last_match else None
+        # the index contradicts the date: a trigger before brought no photo, or the shutter is later than the next
+        # trigger, or the camera's clock was stepped; what the camera needed so far decides
+        delay_s = report.exposed_s - pointed.commanded_s
+        possible = -report.error_s <= delay_s <= _LATEST_EXPOSURE_S
+        if possible and report.error_s > _SURE_S and self._is_usual(report, pointed):
+            return pointed
+        if dated is None:
+            return pointed if possible and self._latencies_s and self._is_usual(report, pointed) else None
+        usual_s = median(self._latencies_s) if self._latencies_s else 0.0
+        candidates = [dated, pointed] if possible else [dated]
+        return min(candidates, key=lambda capture: abs(report.exposed_s - capture.commanded_s - usual_s))
+
+    def _is_usual(self, report: Report, capture: Capture | None) -> bool:
+        """Whether an exposure is as late after a trigger as the camera's exposures are, as far as that is known."""
+        if capture is None or not self._latencies_s:
+            return capture is not None
+        delay_s = report.exposed_s - capture.commanded_s
+        return abs(delay_s - median(self._latencies_s)) <= _SURE_S + report.error_s
+
+    def _match_undated(self, report: Report) -> Capture | None:
+        open_ones = self._open(report)
         if report.index >= 0 and report.source in self._last_match:
             number, index = self._last_match[report.source]
             for capture in open_ones:
@@ -279,8 +382,29 @@ class CaptureMatcher:
                     return capture
         return open_ones[0] if open_ones else None
 
-    def _match_by_time(self, report: Report) -> Capture | None:
-        before = [c for c in self._captures if c.commanded_s <= report.exposed_s + _STAMP_SLACK_S]
+    def _open(self, report: Report) -> list[Capture]:
+        """Triggers before a report's arrival that have no report of its sender."""
+        received_s = report.evidence.received_s
+        return [
+            capture
+            for capture in self._captures
+            if capture.commanded_s <= received_s
+            and received_s - capture.commanded_s < _LATEST_REPORT_S
+            and report.source not in capture.sources
+        ]
+
+    def _by_index(self, report: Report) -> Capture | None:
+        """The open trigger that the index points to, counted from the last match."""
+        if report.index < 0 or report.source not in self._last_match:
+            return None
+        number, index = self._last_match[report.source]
+        wanted = number + report.index - index
+        return next((capture for capture in self._open(report) if capture.number == wanted), None)
+
+    def _by_time(self, report: Report) -> Capture | None:
+        """The last trigger before the exposure, if it has no report of this sender."""
+        latest_s = report.exposed_s + max(_STAMP_SLACK_S, report.error_s)
+        before = [c for c in self._captures if c.commanded_s <= latest_s]
         if not before:
             return None
         latest = before[-1]
@@ -288,40 +412,12 @@ class CaptureMatcher:
         return None if late or report.source in latest.sources else latest
 
 
-class StampClock:
-    """Turns a sender's boot time into the mission's clock, by the fastest message so far.
-
-    A message arrives after it was stamped, so arrival minus stamp is the difference of the clocks plus a delay; the
-    least of many comes close to the difference. A stamp turned so is never earlier than the truth. The bound relaxes
-    by 100 parts in a million, which is more than clocks drift apart.
-    """
-
-    _DRIFT: Final = 1e-4
-    _REBOOT_S: Final = 1.0
-
-    def __init__(self) -> None:
-        self._offset_s = math.nan
-        self._offset_at_s = math.nan
-        self._newest_stamp_s = -math.inf
-        self._known = 0
-
-    def note(self, stamp_s: float, received_s: float) -> None:
-        """Take a message that was stamped and sent at once."""
-        if stamp_s < self._newest_stamp_s - self._REBOOT_S:  # the sender rebooted
-            self._offset_s, self._known, self._newest_stamp_s = math.nan, 0, stamp_s
-        self._newest_stamp_s = max(self._newest_stamp_s, stamp_s)
-        offset = received_s - stamp_s
-        relaxed = self._offset_s + self._DRIFT * (received_s - self._offset_at_s)
-        self._offset_s = offset if math.isnan(relaxed) else min(offset, relaxed)
-        self._offset_at_s = received_s
-        self._known += 1
-
-    def exposed_s(self, stamp_s: float, received_s: float) -> float:
-        """When a stamped exposure began, on the mission's clock; NaN if too little is known of the sender's clock."""
-        rebooted = stamp_s < self._newest_stamp_s - _LATEST_REPORT_S
-        if rebooted or not self._known or math.isnan(stamp_s):
-            return math.nan
-        return min(stamp_s + self._offset_s, received_s)
+def dated(report: Report, exposed_s: float, error_s: float) -> Report:
+    """A report with the date of its exposure on the mission's clock; a date after its arrival is none."""
+    if exposed_s > report.evidence.received_s:
+        exposed_s = error_s = math.nan
+    evidence = replace(report.evidence, exposed_s=exposed_s, exposed_error_s=error_s)
+    return replace(report, evidence=evidence, exposed_s=exposed_s, error_s=0.0 if math.isnan(error_s) else error_s)
 
 
 def _same_photo(first: Report, again: Report) -> bool:

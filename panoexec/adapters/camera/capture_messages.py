@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
-from panoexec.adapters.camera.capture_matching import Report, Source, StampClock
+from panoexec.adapters.camera.camera_clock import CameraClock
+from panoexec.adapters.camera.capture_matching import Report, Source, dated
 from panoexec.adapters.gimbal.attitude_messages import number
 from panoexec.adapters.link.message_hub import MavMessage
 from panoexec.devices import CaptureEvidence, EvidenceLevel
@@ -15,16 +16,19 @@ from panoexec.devices import CaptureEvidence, EvidenceLevel
 _UTC_FROM_S: Final = 1e9
 
 
-def captured_report(message: MavMessage, stamps: StampClock) -> Report:
-    """From CAMERA_IMAGE_CAPTURED (263); `stamps` turns the camera's boot time into the mission's clock."""
+_FEEDBACK_DELAY_S: Final = 0.1
+"""Transport delay of CAMERA_FEEDBACK, whose arrival dates the photo."""
+
+
+def captured_report(message: MavMessage, clock: CameraClock) -> Report:
+    """From CAMERA_IMAGE_CAPTURED (263); `clock` relates the camera's boot time to the mission's clock."""
     fields = message.fields
     boot_s = fields["time_boot_ms"] / 1000.0 or math.nan
     url = str(fields["file_url"]).rstrip("\0")
     latitude_deg, longitude_deg, altitude_m = _position(fields["lat"], fields["lon"], number(fields["alt"]) / 1e3)
-    return Report(
+    report = Report(
         source=Source.CAPTURED,
         success=int(fields["capture_result"]) == 1,
-        exposed_s=stamps.exposed_s(boot_s, message.received_s),
         evidence=CaptureEvidence(
             level=EvidenceLevel.FILE_SEEN if file_is_there(url) else EvidenceLevel.CAPTURE_MESSAGE,
             received_s=message.received_s,
@@ -37,6 +41,7 @@ def captured_report(message: MavMessage, stamps: StampClock) -> Report:
             altitude_m=altitude_m,
         ),
     )
+    return dated(report, *clock.date(boot_s, message.received_s))
 
 
 def feedback_report(message: MavMessage, *, pin: bool) -> Report:
@@ -58,6 +63,8 @@ def feedback_report(message: MavMessage, *, pin: bool) -> Report:
             # ArduPilot stamps a pin's signal with 32 bits of microseconds since boot, a trigger with UTC
             exposed_vehicle_s=stamp_us / 1e6 if 0 < stamp_us < 2**32 else math.nan,
             image_index=int(fields["img_idx"]),
+            exposed_s=message.received_s,
+            exposed_error_s=_FEEDBACK_DELAY_S,
             time_utc_s=_utc_s(stamp_us),
             latitude_deg=latitude_deg,
             longitude_deg=longitude_deg,

@@ -15,7 +15,8 @@ from typing import Final, Self
 import structlog
 from mavsdk.plugins.camera import Camera, CameraList, Information
 
-from panoexec.adapters.camera.capture_matching import Capture, CaptureMatcher, StampClock
+from panoexec.adapters.camera.camera_clock import CameraClock
+from panoexec.adapters.camera.capture_matching import Capture, CaptureMatcher
 from panoexec.adapters.camera.capture_messages import captured_report, feedback_report, file_is_there
 from panoexec.adapters.camera.photo_recall import CAPTURE_STATUS, IMAGE_CAPTURED, recall_images, recall_trigger
 from panoexec.adapters.gimbal.attitude_messages import number
@@ -32,6 +33,8 @@ STORAGE_INFORMATION: Final = 261
 _MAV_TYPE_CAMERA: Final = 30
 _STORAGE_EMPTY, _STORAGE_UNFORMATTED, _STORAGE_READY = 0, 1, 2
 _PREFER_S: Final = 2.5
+_SYNCHRONISE_S: Final = 4.0
+"""A stamp of the camera's clock that is older than this (mission seconds) is asked for anew at the next photo."""
 _BYTES_PER_PX: Final = 0.6
 """Of a fine JPEG, on the safe side: 24 megapixels give 14 MB."""
 
@@ -92,8 +95,9 @@ class MavsdkCamera:
         self._found: CameraFound | None = None
         self._listed: dict[int, Information] = {}
         self._list_changed = asyncio.Event()
-        self._ledger = CaptureMatcher()
-        self._stamps = StampClock()
+        self._stamps = CameraClock()
+        self._ledger = CaptureMatcher(self._stamps)
+        self._synchronised_s = -math.inf
         self._storages: dict[int, float] = {}
         self._numbers = 0
         self._last_index = -1
@@ -201,7 +205,7 @@ class MavsdkCamera:
         clock = self._link.clock
         async with self._triggering:
             self._numbers += 1
-            capture = Capture(self._numbers, clock=clock, nudge=self._ask_for_news)
+            capture = Capture(self._numbers, clock=clock, nudge=self._ask_for_news, synchronise=self._synchronise)
             capture.commanded(clock.monotonic())
             self._ledger.enter(capture)
 
@@ -253,7 +257,7 @@ class MavsdkCamera:
     def _stamped(self, message: MavMessage) -> None:
         if self._is_ours(message):
             self._heard_s = time.monotonic()
-            self._link.post(self._stamps.note, message.fields["time_boot_ms"] / 1000.0, message.received_s)
+            self._link.post(self._take_stamp, message.fields["time_boot_ms"] / 1000.0, message.received_s)
 
     def _storage(self, message: MavMessage) -> None:
         if not self._is_ours(message):
@@ -311,6 +315,18 @@ class MavsdkCamera:
                 async with asyncio.timeout(0.25):
                     await self._list_changed.wait()
 
+    def _take_stamp(self, stamp_s: float, received_s: float) -> None:
+        """Relate the camera's clock to ours by a message that was stamped when it was sent."""
+        self._synchronised_s = received_s
+        self._stamps.note(stamp_s, received_s)
+        self._ledger.redate(self._link.clock.monotonic())
+
+    async def _synchronise(self) -> None:
+        """Ask for a message that is stamped when it is sent, if the last one is old."""
+        target, now_s = self._target, self._link.clock.monotonic()
+        if target != AUTOPILOT and now_s - self._synchronised_s > _SYNCHRONISE_S:
+            await self._link.requests.command(REQUEST_MESSAGE, [CAPTURE_STATUS], component=target)
+
     def _report_captured(self, message: MavMessage) -> None:
         self._heard_s = time.monotonic()
         report = captured_report(message, self._stamps)
@@ -334,7 +350,12 @@ class MavsdkCamera:
             if file_is_there(capture.known.file_url):
                 capture.file_seen(link.clock.monotonic())
             return
-        status = await link.requests.message(CAPTURE_STATUS, "CAMERA_CAPTURE_STATUS", component=target)
+        try:
+            status = await link.requests.message(CAPTURE_STATUS, "CAMERA_CAPTURE_STATUS", component=target)
+            if self._stamps.suspicious:
+                await link.requests.command(REQUEST_MESSAGE, [CAPTURE_STATUS], component=target)
+        finally:
+            self._ledger.redate(link.clock.monotonic())
         images = int(status.fields["image_count"])
         if target != AUTOPILOT and images > 0:
             index = self._last_index + 1 if self._last_index >= 0 else images - 1

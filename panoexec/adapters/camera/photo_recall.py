@@ -11,7 +11,7 @@ import math
 import time
 from typing import Final
 
-from panoexec.adapters.camera.capture_matching import StampClock
+from panoexec.adapters.camera.camera_clock import CameraClock
 from panoexec.adapters.camera.capture_messages import captured_report, feedback_report
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.message_hub import MavMessage
@@ -26,7 +26,7 @@ LAST_IMAGES: Final = 4
 _ANSWER_S: Final = 2.0
 _ALL_S: Final = 4.0
 """How long (real seconds) images are asked for that do not come."""
-_NO_CLOCK: Final = StampClock()
+_NO_CLOCK: Final = CameraClock()
 
 
 async def recall_images(link: MavsdkLink, *, component: int) -> Recollection:

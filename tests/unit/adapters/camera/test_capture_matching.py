@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from panoexec.adapters.camera.capture_matching import Capture, CaptureMatcher, Report, Source, StampClock
+from panoexec.adapters.camera.camera_clock import CameraClock
+from panoexec.adapters.camera.capture_matching import Capture, CaptureMatcher, Report, Source, dated
 from panoexec.devices import CaptureEvidence, EvidenceLevel
 from panoexec.errors import DeviceError
 from tests.unit.fakes.virtual import VirtualClock, run_virtual
@@ -28,6 +29,11 @@ def report(
 ) -> Report:
     evidence = CaptureEvidence(level=level, received_s=received_s, image_index=index, file_url=url)
     return Report(source=source, evidence=evidence, exposed_s=exposed_s, success=success)
+
+
+def stamped(index: int, received_s: float, stamp_s: float, clock: CameraClock) -> Report:
+    evidence = CaptureEvidence(level=CAPTURED, received_s=received_s, image_index=index, exposed_vehicle_s=stamp_s)
+    return dated(Report(source=Source.CAPTURED, evidence=evidence), *clock.date(stamp_s, received_s))
 
 
 def fired(ledger: CaptureMatcher, number: int, commanded_s: float, *, final: bool = False) -> Capture:
@@ -218,18 +224,6 @@ def test_the_camera_is_asked_for_lost_news_and_may_refuse() -> None:
     run_virtual(main())
 
 
-def test_stamps_turn_into_mission_time_by_the_fastest_message() -> None:
-    stamps = StampClock()
-    assert math.isnan(stamps.exposed_s(5.0, 100.0))
-    for stamp_s, delay_s in ((1.0, 0.4), (2.0, 0.02), (3.0, 0.3)):
-        stamps.note(stamp_s, 100.0 + stamp_s + delay_s)
-    assert stamps.exposed_s(4.0, 106.0) == pytest.approx(104.02, abs=1e-3)
-    assert stamps.exposed_s(4.0, 104.01) == 104.01  # never after it was reported
-    assert math.isnan(stamps.exposed_s(math.nan, 104.0))
-    stamps.note(0.5, 110.52)  # the camera rebooted
-    assert stamps.exposed_s(1.0, 112.0) == pytest.approx(111.02, abs=1e-3)
-
-
 @settings(max_examples=200)
 @given(
     seed=st.integers(0, 2**32),
@@ -243,8 +237,8 @@ def test_no_photo_is_ever_credited_to_another_trigger(
 ) -> None:
     """Photos lost, reports lost, doubled, delayed past later triggers and shuffled; the index is the truth."""
     rng = random.Random(seed)
-    ledger = CaptureMatcher()
-    stamps = StampClock()
+    stamps = CameraClock()
+    ledger = CaptureMatcher(stamps)
     boot = rng.uniform(-1000, 1000)
     arrivals: list[tuple[float, float, int, int]] = []
     now, index = 50.0, rng.randrange(100)
@@ -262,7 +256,8 @@ def test_no_photo_is_ever_credited_to_another_trigger(
                 truth[number] = index
                 copies = 2 if rng.random() < twice else 1
                 arrivals += [(exposed + rng.uniform(0.05, 4.0), exposed, index, number) for _ in range(copies)]
-    stamps.note(40.0 - boot, 40.0 + rng.uniform(0, 0.1))
+    for sent in (30.0, 35.0, 40.0, 45.0):
+        stamps.note(sent - boot, sent + rng.uniform(0, 0.03))
     events = [(t, 0, n, c) for n, (t, c) in enumerate(triggers)] + [
         (received, 1, n, arrival) for n, arrival in enumerate(arrivals) for received in [arrival[0]]
     ]
@@ -270,8 +265,10 @@ def test_no_photo_is_ever_credited_to_another_trigger(
         if isinstance(what, Capture):
             ledger.enter(what)
         else:
+            stamps.note(time_s - 0.01 - boot, time_s)  # the camera's clock is asked for at each photo
+            ledger.redate(time_s)
             _, exposed, photo, _number = what
-            ledger.report(report(photo, time_s, exposed_s=stamps.exposed_s(exposed - boot, time_s)))
+            ledger.report(stamped(photo, time_s, exposed - boot, stamps))
     for _, capture in triggers:
         found = capture.known.image_index
         if capture.number in truth:

@@ -1,0 +1,135 @@
+"""The camera's clock: its time since boot related to the mission's clock, with the rate estimated.
+
+A camera stamps a photo with its own time since boot (`time_boot_ms` of CAMERA_IMAGE_CAPTURED, 263). Its clock may run
+slow or fast by per cents (PX4's SITL clock lagged 2 %) and may be stepped. Messages that are stamped when they are sent
+(262, 259, 261) relate the two clocks: each arrives a short transport delay after its stamp.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from statistics import median
+from typing import Final
+
+RATE_BOUND: Final = 0.06
+"""How far the rate may be from 1 while too little is known to estimate it."""
+DELAY_S: Final = 0.05
+"""Transport delay of an ordinary message: the part of a date that no estimate removes."""
+
+_KEPT: Final = 24
+_WINDOW_S: Final = 120.0
+_SHORTEST_SPAN_S: Final = 2.0
+_DRIFT: Final = 2e-4
+"""What the rate itself may change."""
+LATE_S: Final = 0.25
+"""A message that is later than predicted by more than this was held up, or the camera's clock was stepped back. A
+smaller step back looks like a delay until the messages from before it have left the window."""
+_AGREE_S: Final = 0.1
+
+
+class CameraClock:
+    """Dates stamps of a camera on the mission's clock."""
+
+    def __init__(self) -> None:
+        self._pairs: deque[tuple[float, float]] = deque(maxlen=_KEPT)
+        self._suspect: tuple[float, float] | None = None
+        self._rate, self._rate_error = 1.0, RATE_BOUND
+        self.steps = 0
+        """How often the camera's clock was found stepped, or the camera rebooted."""
+
+    @property
+    def rate(self) -> float:
+        """Mission seconds per camera second, as estimated; 1 before there is an estimate."""
+        return self._rate
+
+    @property
+    def related(self) -> bool:
+        """Whether stamps can be dated."""
+        return bool(self._pairs)
+
+    @property
+    def suspicious(self) -> bool:
+        """Whether one more message will tell if the camera's clock was stepped back."""
+        return self._suspect is not None
+
+    def note(self, stamp_s: float, received_s: float) -> None:
+        """Take a message that was stamped when it was sent.
+
+        Args:
+            stamp_s: the camera's time since boot, seconds.
+            received_s: when it arrived, on the mission's clock.
+        """
+        if not (math.isfinite(stamp_s) and math.isfinite(received_s)):
+            return
+        if self._pairs:
+            predicted_s, error_s = self._predict(stamp_s)
+            if received_s < predicted_s - error_s - DELAY_S:  # arrived before it was sent: stepped forward
+                self._restart([])
+            elif received_s > predicted_s + error_s + LATE_S:
+                self._suspected(stamp_s, received_s)
+                return
+        self._suspect = None
+        self._add(stamp_s, received_s)
+
+    def date(self, stamp_s: float, received_s: float) -> tuple[float, float]:
+        """When a stamped exposure began, and how far that may be wrong; NaN if the clocks are not related yet.
+
+        Args:
+            stamp_s: of the exposure, the camera's time since boot, seconds.
+            received_s: when the report arrived.
+
+        Returns:
+            (time, error), seconds on the mission's clock. The time may lie after `received_s`: then the camera's clock
+            was stepped, and the date is not to be believed.
+        """
+        if not self._pairs or math.isnan(stamp_s):
+            return math.nan, math.nan
+        predicted_s, error_s = self._predict(stamp_s)
+        if 0 < predicted_s - received_s <= error_s + DELAY_S:
+            predicted_s = received_s
+        return predicted_s, error_s + DELAY_S
+
+    def _predict(self, stamp_s: float) -> tuple[float, float]:
+        """When a message with that stamp would arrive without any delay, by the fastest of those known."""
+        best = (math.inf, math.inf)
+        for known_stamp_s, known_received_s in self._pairs:
+            apart_s = stamp_s - known_stamp_s
+            error_s = self._rate_error * abs(apart_s)
+            best = min(best, (known_received_s + self._rate * apart_s + error_s, error_s))
+        return best[0] - best[1], best[1]
+
+    def _suspected(self, stamp_s: float, received_s: float) -> None:
+        """Two late messages in a row that agree with each other are a step; a single one was held up."""
+        first, self._suspect = self._suspect, (stamp_s, received_s)
+        if first is None:
+            return
+        apart_s = (received_s - first[1]) - self._rate * (stamp_s - first[0])
+        if abs(apart_s) <= _AGREE_S + self._rate_error * abs(stamp_s - first[0]):
+            self._restart([first, (stamp_s, received_s)])
+
+    def _restart(self, pairs: list[tuple[float, float]]) -> None:
+        """Begin anew after a step: offsets from before say nothing; the rate stays as estimated."""
+        self.steps += 1
+        self._suspect = None
+        self._pairs.clear()
+        self._pairs.extend(pairs)
+        self._rate_error = max(self._rate_error, 0.005)
+
+    def _add(self, stamp_s: float, received_s: float) -> None:
+        self._pairs.append((stamp_s, received_s))
+        while self._pairs and received_s - self._pairs[0][1] > _WINDOW_S:
+            self._pairs.popleft()
+        pairs = list(self._pairs)
+        span_s = pairs[-1][0] - pairs[0][0]
+        if span_s < _SHORTEST_SPAN_S:
+            return
+        slopes = [
+            (later[1] - earlier[1]) / (later[0] - earlier[0])
+            for number, earlier in enumerate(pairs)
+            for later in pairs[number + 1 :]
+            if later[0] - earlier[0] >= span_s / 2
+        ]
+        if slopes:
+            self._rate = median(slopes)
+            self._rate_error = min(RATE_BOUND, DELAY_S / span_s + _DRIFT)

@@ -1,0 +1,162 @@
+"""The camera's clock runs slow or fast, or is stepped: dates stay true, and no photo goes to another trigger."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from panoexec.adapters.camera.camera_clock import DELAY_S, LATE_S, CameraClock
+from panoexec.adapters.camera.capture_matching import Capture, CaptureMatcher, Report, Source, dated
+from panoexec.devices import CaptureEvidence, EvidenceLevel
+from tests.unit.fakes.virtual import VirtualClock
+
+CAPTURED = EvidenceLevel.CAPTURE_MESSAGE
+
+
+def test_nothing_is_dated_before_the_clocks_are_related() -> None:
+    clock = CameraClock()
+    assert math.isnan(clock.date(5.0, 100.0)[0])
+    clock.note(1.0, 101.02)
+    assert math.isnan(clock.date(math.nan, 104.0)[0])
+    clock.note(math.nan, 104.0)
+    assert clock.date(1.0, 102.0)[0] == pytest.approx(101.02)
+
+
+@settings(max_examples=100, deadline=None)
+@given(rate=st.floats(0.95, 1.05), boot=st.floats(0, 1e5), seed=st.integers(0, 2**32))
+def test_a_date_is_wrong_by_no_more_than_it_says(rate: float, boot: float, seed: int) -> None:
+    """Camera seconds pass at `rate`; messages need 5 to 45 ms; now and then one is held up."""
+    rng = random.Random(seed)
+    clock = CameraClock()
+    for sent_s in range(1000, 1200, 4):
+        held_up = rng.uniform(0.3, 2.0) if sent_s % 8 and rng.random() < 0.1 and sent_s > 1010 else 0.0
+        clock.note(boot + rate * (sent_s - 1000), sent_s + rng.uniform(0.005, 0.045) + held_up)
+        truth_s = sent_s + rng.uniform(0.1, 3.9)
+        found_s, error_s = clock.date(boot + rate * (truth_s - 1000), truth_s + 10)
+        assert abs(found_s - truth_s) <= error_s + 1e-6
+    assert clock.rate == pytest.approx(1 / rate, abs=0.002)
+    assert error_s < DELAY_S + 0.03
+
+
+@pytest.mark.parametrize("step_s", [-300.0, -3.0, -0.7, 0.7, 3.0, 300.0])
+def test_two_messages_after_a_step_relate_the_clocks_anew(step_s: float) -> None:
+    clock = CameraClock()
+    for sent_s in range(0, 40, 4):
+        clock.note(500.0 + sent_s, sent_s + 0.02)
+    for again_s in (40.0, 40.1):
+        clock.note(500.0 + again_s + step_s, again_s + 0.02)
+    assert clock.steps == 1
+    found_s, error_s = clock.date(541.0 + step_s, 45.0)
+    assert found_s == pytest.approx(41.0, abs=error_s)
+    assert error_s < 0.1
+
+
+def test_one_message_that_was_held_up_is_no_step() -> None:
+    clock = CameraClock()
+    for sent_s in range(0, 40, 4):
+        clock.note(sent_s, sent_s + (2.5 if sent_s == 20 else 0.02))
+    assert clock.steps == 0
+    assert clock.date(38.0, 45.0)[0] == pytest.approx(38.02, abs=0.01)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32),
+    rate=st.floats(0.95, 1.05),
+    step_s=st.floats(-20, 20),
+    lost=st.sampled_from([0.0, 0.05]),
+    strangers=st.sampled_from([0.0, 0.03]),
+)
+def test_every_report_finds_its_own_trigger_or_none(
+    seed: int, rate: float, step_s: float, lost: float, strangers: float
+) -> None:
+    """A mission of 150 photos: slow clock, one step, lost reports, somebody else at the shutter; counts come too."""
+    rng = random.Random(seed)
+    clock = CameraClock()
+    matcher = CaptureMatcher(clock)
+    stepped_at, index, images = rng.randrange(20, 130), rng.randrange(50), 0
+
+    def stamp(at_s: float, number: int) -> float:
+        return 77.0 + rate * at_s + (step_s if number >= stepped_at else 0.0)
+
+    def status(at_s: float, number: int) -> None:
+        received_s = at_s + rng.uniform(0.005, 0.03)
+        clock.note(stamp(at_s, number), received_s)
+        matcher.redate(received_s)
+        matcher.counted(images, received_s)
+
+    def tell(at_s: float, number: int, delay_s: float) -> None:
+        exposed[index] = at_s
+        evidence = CaptureEvidence(
+            level=CAPTURED, received_s=at_s + delay_s, image_index=index, exposed_vehicle_s=stamp(at_s, number)
+        )
+        report = Report(source=Source.CAPTURED, evidence=evidence)
+        matcher.report(dated(report, *clock.date(stamp(at_s, number), evidence.received_s)))
+
+    now_s = 100.0
+    for at_s in (90.0, 93.0, 96.0):
+        status(at_s, -1)
+    truth: dict[int, int] = {}
+    exposed: dict[int, float] = {}
+    captures: list[Capture] = []
+    for number in range(150):
+        now_s += rng.uniform(1.5, 4.0)
+        if rng.random() < strangers:
+            index, images = index + 1, images + 1
+            tell(now_s - 0.9, number, 0.3)
+        capture = Capture(number, clock=VirtualClock())
+        capture.commanded(now_s)
+        matcher.enter(capture)
+        capture.acknowledged(now_s + 0.01)
+        captures.append(capture)
+        index, images = index + 1, images + 1
+        truth[number] = index
+        status(now_s + 0.02, number)
+        if rng.random() >= lost:
+            tell(now_s + rng.uniform(0.03, 0.2), number, rng.uniform(0.1, 0.3))
+        if capture.known.level < CAPTURED:  # what the evidence's nudges do
+            status(now_s + 1.0, number)
+            status(now_s + 1.1, number)
+            matcher.redate(now_s + 1.2)
+    named = [capture for capture in captures if capture.known.image_index >= 0]
+    for capture in named:
+        found = capture.known
+        if math.isfinite(found.exposed_s):  # whichever photo it is, its date is true
+            assert abs(found.exposed_s - exposed[found.image_index]) <= found.exposed_error_s + LATE_S
+        if found.image_index != truth[capture.number]:
+            # somebody else's photo in the place of a lost one is recognised by its date: long after the trigger
+            assert found.exposed_s - capture.commanded_s > 0.4
+    assert len(named) >= 0.85 * 150
+    if not lost and not strangers:
+        assert len(named) >= 149
+
+
+def test_a_contradiction_is_never_resolved_by_a_count() -> None:
+    """A report that was exposed before its trigger, and nothing tells why: neither it nor the count proves the shot."""
+    clock = CameraClock()
+    for sent_s in (0.0, 4.0, 8.0):
+        clock.note(sent_s, sent_s + 0.01)
+    matcher = CaptureMatcher(clock)
+    matcher.counted(10, 8.0)
+    capture = Capture(1, clock=VirtualClock())
+    capture.commanded(10.0)
+    matcher.enter(capture)
+    evidence = CaptureEvidence(level=CAPTURED, received_s=10.4, image_index=5, exposed_vehicle_s=8.5)
+    assert matcher.report(dated(Report(source=Source.CAPTURED, evidence=evidence), *clock.date(8.5, 10.4))) is None
+    matcher.counted(11, 10.5)
+    assert capture.known.level is EvidenceLevel.COMMANDED  # the report is held, the camera is asked
+    matcher.redate(14.0)
+    assert capture.contradicted
+    assert "photo 5" in capture.known.contradiction
+    matcher.counted(12, 14.1)
+    assert capture.known.level is EvidenceLevel.COMMANDED
+    assert matcher.surplus == 1
+    # its own report settles it
+    evidence = CaptureEvidence(level=CAPTURED, received_s=14.4, image_index=6, exposed_vehicle_s=10.1)
+    assert matcher.report(dated(Report(source=Source.CAPTURED, evidence=evidence), *clock.date(10.1, 14.4))) is capture
+    assert not capture.contradicted
+    assert capture.known.level is CAPTURED
