@@ -11,8 +11,9 @@ from typing import TypeVar
 
 from panoexec.angles import yaw_pitch_roll
 from panoexec.clock import Clock
-from panoexec.devices import Camera, EvidenceLevel, Gimbal, PendingCapture
+from panoexec.devices import Camera, CaptureEvidence, EvidenceLevel, Gimbal, PendingCapture
 from panoexec.errors import DeviceError
+from panoexec.mission.dated_exposure import ShutterLag, is_dated, window
 from panoexec.mission.pointing.gate import SettleLimits, SettleTracker, Target, WindowVerdict, judge_window
 from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.pointing.poses import PoseReader, read_pose, to_north
@@ -65,7 +66,8 @@ class Exposure:
         verdict: on the attitudes from the first trigger to the end of the last exposure.
         trigger_utc_s: wall time of each trigger.
         trigger_delay_s: from settled to the first trigger on the wire.
-        failure: why not all photos were taken, "" if they were.
+        end_s: until when the attitudes were judged.
+    failure: why not all photos were taken, "" if they were.
         images_before: how many images the camera counted before; -1 where that was not known.
         broken_off: somebody asked to hold or to end between two photos of a bracket.
     """
@@ -74,6 +76,7 @@ class Exposure:
     verdict: WindowVerdict
     trigger_utc_s: tuple[float, ...]
     trigger_delay_s: float
+    end_s: float
     failure: str = ""
     images_before: int = -1
     broken_off: bool = False
@@ -97,11 +100,13 @@ class Shooter:
     open_loop: bool
     turner: HeadingController | None = None
     poses: PoseReader = field(init=False)
+    lag: ShutterLag = field(init=False)
     _ready_s: float = field(default=-math.inf, init=False)
     _pointed: tuple[float, float] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         """Begin to read the attitude stream."""
+        self.lag = ShutterLag(self.settings.latency_s)
         self.poses = PoseReader(feed=self.gimbal.feed, reference_yaw_north_deg=self.reference_yaw_north_deg)
 
     async def approach(
@@ -204,6 +209,7 @@ class Shooter:
             verdict=await self._judged(shot, captures[0].commanded_s, end_s),
             trigger_utc_s=tuple(stamps),
             trigger_delay_s=captures[0].commanded_s - settled.settled_s,
+            end_s=end_s,
             failure=failure,
             images_before=images_before,
             broken_off=broken_off,
@@ -214,7 +220,7 @@ class Shooter:
 
         A camera reports a photo after its shutter closed; a feedback pin tells when it opened.
         """
-        bound_s = self.settings.exposure_bound_s
+        bound_s = self.lag.bound_s + self.settings.exposure_s
         latest_s = capture.commanded_s + bound_s
         try:
             found = await capture.evidence(EvidenceLevel.FEEDBACK_PIN, bound_s)
@@ -226,6 +232,24 @@ class Shooter:
             latest_s = min(latest_s, found.received_s + self.settings.exposure_s)
         await self.clock.sleep(latest_s - self.clock.monotonic())
         return latest_s
+
+    async def judge_date(
+        self, shot: Shot, found: CaptureEvidence, commanded_s: float, exposure: Exposure
+    ) -> WindowVerdict | None:
+        """The verdict at the date of a photo; None if it has none, or lies inside the window that was judged.
+
+        Args:
+            shot: where the camera was to look.
+            found: what is known of the photo.
+            commanded_s: when its trigger went out.
+            exposure: of the attempt.
+        """
+        if self.open_loop or not is_dated(found):
+            return None
+        start_s, end_s = window(found, commanded_s, self.settings)
+        if exposure.captures[0].commanded_s <= start_s and end_s <= exposure.end_s:
+            return None
+        return await self._judged(shot, start_s, end_s)
 
     def _target(self, shot: Shot) -> Target:
         return Target(pitch_deg=shot.pitch_deg, yaw_deg=shot.yaw_deg, tolerance=self.settings.tolerance)

@@ -41,6 +41,16 @@ class Verifier(Protocol):
 
 
 @runtime_checkable
+class ReportsPhotos(Protocol):
+    """A camera that may report each photo with the time of its exposure (CAMERA_IMAGE_CAPTURED, 263)."""
+
+    @property
+    def reports_photos(self) -> bool:
+        """Whether a report of the next photo is to be expected, so that its verdict should wait for it."""
+        ...
+
+
+@runtime_checkable
 class PhotoMemory(Protocol):
     """A camera that remembers what it took: settles a photo that was in flight when the process died."""
 

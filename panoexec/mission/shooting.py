@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import structlog
 
-from panoexec.devices import EvidenceLevel, PendingCapture
-from panoexec.mission import evidence
+from panoexec.devices import CaptureEvidence, EvidenceLevel, PendingCapture
+from panoexec.mission import dated_exposure, evidence
 from panoexec.mission.attempt import Exposure, NotSettled, Settled, Shooter
 from panoexec.mission.context import MissionContext
 from panoexec.mission.guard_monitor import GuardMonitor
@@ -17,6 +17,7 @@ from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.overlap import overlaps_hold
 from panoexec.mission.pointing.gate import WindowVerdict
+from panoexec.mission.protocols import ReportsPhotos
 from panoexec.mission.shot_queue import Decision, Task
 from panoexec.mission.waiting import until
 
@@ -137,7 +138,7 @@ class Shooting:
         by = "open_loop" if self.shooter.open_loop else "tolerance" if verdict.ok else "overlap"
         if not exposure.failure and (verdict.ok or may_overlap):
             self._outstanding += 1
-            proof = self._prove(shot, number, photos, exposure.captures, by=by, verdict=verdict)
+            proof = self._prove(shot, number, photos, exposure, by=by)
             self._group.create_task(proof, name=f"evidence of {shot}")
             return
         code = "trigger" if exposure.failure else verdict.code
@@ -155,17 +156,19 @@ class Shooting:
         shot: int,
         number: int,
         photos: Sequence[ev.Photo],
-        captures: Sequence[PendingCapture],
+        exposure: Exposure,
         *,
         by: str,
-        verdict: WindowVerdict,
     ) -> None:
         """Wait for what is missing for a verdict on an exposure, evidence first; then it counts or is taken again."""
         settings = self._flight.settings
+        captures, verdict = exposure.captures, exposure.verdict
+        wanted = settings.min_evidence
+        if isinstance(self._flight.camera, ReportsPhotos) and self._flight.camera.reports_photos:
+            wanted = max(wanted, EvidenceLevel.CAPTURE_MESSAGE)  # its report also dates the exposure
         try:
-            proven = await evidence.gather(
-                photos, captures, at_least=settings.min_evidence, timeout_s=settings.evidence_s
-            )
+            proven = await evidence.gather(photos, captures, at_least=wanted, timeout_s=settings.evidence_s)
+            code, why = await self._date_speaks_against(shot, exposure)
             level = evidence.weakest(proven)
             if level < settings.min_evidence:
                 reason = (
@@ -173,6 +176,8 @@ class Shooting:
                     f" {settings.min_evidence.name.lower()} is asked for"
                 )
                 self._reject(shot, number, "evidence", reason, proven)
+            elif code:
+                self._reject(shot, number, code, why, proven)
             elif by == "overlap" and not await overlaps_hold(self._flight, shot, verdict.measured):
                 reason = f"{verdict.reason}, and the overlaps would not hold with it"
                 self._reject(shot, number, verdict.code, reason, proven)
@@ -185,6 +190,27 @@ class Shooting:
             self._proven.set()
         await self._identify(shot, number, proven, captures)
 
+    async def _date_speaks_against(self, index: int, exposure: Exposure) -> tuple[str, str]:
+        """Code and reason if the photos may be others, or were exposed when the pose was wrong; else ("", "")."""
+        shot = self._flight.record.shots[index].shot
+        found = await self._learn_lag(exposure.captures)
+        for one, capture in zip(found, exposure.captures, strict=True):
+            verdict = await self.shooter.judge_date(shot, one, capture.commanded_s, exposure)
+            if verdict is not None and not verdict.ok:
+                late_s = one.exposed_s - capture.commanded_s
+                reason = f"exposed {late_s:.2f} s after its trigger, outside the time that was judged: {verdict.reason}"
+                return "late_exposure", reason
+        why = dated_exposure.contradictions(found)
+        return ("evidence", why) if why else ("", "")
+
+    async def _learn_lag(self, captures: Sequence[PendingCapture]) -> list[CaptureEvidence]:
+        """What is known of photos by now; a shutter that is later than configured is told."""
+        found = [await capture.evidence(EvidenceLevel.COMMANDED, 0.0) for capture in captures]
+        for one, capture in zip(found, captures, strict=True):
+            if text := self.shooter.lag.note(one, capture.commanded_s):
+                self._flight.recorder.emit(ev.Warned(code="latency", text=text))
+        return found
+
     async def _identify(
         self, shot: int, number: int, photos: Sequence[ev.Photo], captures: Sequence[PendingCapture]
     ) -> None:
@@ -193,6 +219,7 @@ class Shooting:
             return
         level, timeout_s = EvidenceLevel.CAPTURE_MESSAGE, self._flight.settings.evidence_s
         better = await evidence.gather(photos, captures, at_least=level, timeout_s=timeout_s)
+        await self._learn_lag(captures)
         if better != tuple(photos):
             self._flight.recorder.emit(ev.PhotoIdentified(shot=shot, attempt=number, photos=better))
 

@@ -33,6 +33,8 @@ STORAGE_INFORMATION: Final = 261
 _MAV_TYPE_CAMERA: Final = 30
 _STORAGE_EMPTY, _STORAGE_UNFORMATTED, _STORAGE_READY = 0, 1, 2
 _PREFER_S: Final = 2.5
+_FIRST_REPORT_S: Final = 20.0
+"""A camera that has not reported a photo by then does not report photos."""
 _SYNCHRONISE_S: Final = 4.0
 """A stamp of the camera's clock that is older than this (mission seconds) is asked for anew at the next photo."""
 _BYTES_PER_PX: Final = 0.6
@@ -101,6 +103,7 @@ class MavsdkCamera:
         self._storages: dict[int, float] = {}
         self._numbers = 0
         self._last_index = -1
+        self._first_trigger_s = math.nan
         self._heard_s = -math.inf
         self._triggering = asyncio.Lock()
         self._recalling = False
@@ -205,6 +208,8 @@ class MavsdkCamera:
         clock = self._link.clock
         async with self._triggering:
             self._numbers += 1
+            if math.isnan(self._first_trigger_s):
+                self._first_trigger_s = clock.monotonic()
             capture = Capture(self._numbers, clock=clock, nudge=self._ask_for_news, synchronise=self._synchronise)
             capture.commanded(clock.monotonic())
             self._ledger.enter(capture)
@@ -227,6 +232,14 @@ class MavsdkCamera:
     def image_count(self) -> int:
         """See `PhotoMemory.image_count`."""
         return self._ledger.image_count
+
+    @property
+    def reports_photos(self) -> bool:
+        """See `ReportsPhotos.reports_photos`: a camera of its own, unless its first photos came without a report."""
+        if self._found is None or self._found.by_autopilot:
+            return False
+        unreported_s = self._link.clock.monotonic() - self._first_trigger_s
+        return self._last_index >= 0 or not unreported_s > _FIRST_REPORT_S
 
     async def recall(self) -> Recollection:
         """See `PhotoMemory.recall`: for a mission that goes on, before it takes a photo of its own."""

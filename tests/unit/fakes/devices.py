@@ -284,6 +284,9 @@ class FakeCapture:
             image_index=self.index,
             file_url=f"IMG_{self.index:04d}.jpg" if has_file else "",
             time_utc_s=clock.time(),
+            exposed_s=self.camera.photos[self.index].exposed_s if self.camera.dates else math.nan,
+            exposed_error_s=0.02 if self.camera.dates else math.nan,
+            contradiction=self.camera.contradictions.get(self.index, ""),
         )
 
 
@@ -306,12 +309,20 @@ class FakeCamera:
     counts: bool = False
     """Whether it tells how many it has taken."""
     memory_fails: int = 0
+    dates: bool = False
+    """Whether its reports tell when it exposed."""
+    contradictions: dict[int, str] = field(default_factory=dict)
+    """Why a photo may be another one, by index."""
     # what happened
     photos: list[TakenPhoto] = field(default_factory=list)
 
     @property
     def image_count(self) -> int:
         return len(self.photos) if self.counts else -1
+
+    @property
+    def reports_photos(self) -> bool:
+        return self.dates
 
     async def recall(self) -> Recollection:
         await self.clock.sleep(0.02)

@@ -1,0 +1,81 @@
+"""Exposures that are dated: judged at the moment at which the camera says that it exposed.
+
+The pose is judged from the trigger to the end of the exposure bound. A shutter that is late, or a trigger that the
+autopilot deferred, exposes after that, when the gimbal may already be on its way. A report that dates the exposure
+outside the judged window therefore proves nothing of that pose: the attitude at the date decides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import Final
+
+from panoexec.devices import CaptureEvidence, EvidenceLevel
+from panoexec.mission.settings import MissionSettings
+
+SURE_S: Final = 0.25
+"""A date that may be wrong by more than this does not decide."""
+_LONGEST_S: Final = 10.0
+_REMEMBERED: Final = 3
+_TELL_S: Final = 0.1
+
+
+class ShutterLag:
+    """How long after the trigger the shutter opens, as far as the camera's dates tell.
+
+    Args:
+        configured_s: `[camera] latency_s`.
+    """
+
+    def __init__(self, configured_s: float) -> None:
+        self._configured_s = configured_s
+        self._measured_s: deque[float] = deque(maxlen=_REMEMBERED)
+        self._told = False
+
+    @property
+    def bound_s(self) -> float:
+        """The longest lag to expect: what is configured, or the longest of the last few photos."""
+        return max(self._configured_s, *self._measured_s) if self._measured_s else self._configured_s
+
+    def note(self, found: CaptureEvidence, commanded_s: float) -> str:
+        """Take the date of a photo; returns what the operator should know, "" for nothing new."""
+        if not is_dated(found) or found.level < EvidenceLevel.FEEDBACK_PIN:
+            return ""
+        lag_s = found.exposed_s - commanded_s
+        if not 0 <= lag_s <= _LONGEST_S:
+            return ""
+        self._measured_s.append(lag_s + found.exposed_error_s)
+        if self._told or lag_s <= self._configured_s + _TELL_S:
+            return ""
+        self._told = True
+        advised_s = math.ceil(10 * (lag_s + found.exposed_error_s)) / 10
+        return (
+            f"the camera exposes {lag_s:.2f} s after its trigger, [camera] latency_s is {self._configured_s:g}: "
+            f"set it to {advised_s:g}"
+        )
+
+
+def is_dated(found: CaptureEvidence) -> bool:
+    """Whether a photo is dated well enough to be judged by its date."""
+    return math.isfinite(found.exposed_s) and found.exposed_error_s <= SURE_S
+
+
+def window(found: CaptureEvidence, commanded_s: float, settings: MissionSettings) -> tuple[float, float]:
+    """From when to when a dated photo was exposed at the utmost, on the mission's clock.
+
+    Not before its trigger; and not after its report, where the camera reports a photo that it has. Where only the
+    trigger is dated (CAMERA_FEEDBACK without a pin), the exposure follows within the bound.
+    """
+    start_s = max(commanded_s, found.exposed_s - found.exposed_error_s)
+    length_s = settings.exposure_s if found.level >= EvidenceLevel.FEEDBACK_PIN else settings.exposure_bound_s
+    end_s = found.exposed_s + found.exposed_error_s + length_s
+    if found.level >= EvidenceLevel.CAPTURE_MESSAGE:
+        end_s = min(end_s, found.received_s)
+    return start_s, max(start_s, end_s)
+
+
+def contradictions(found: Sequence[CaptureEvidence]) -> str:
+    """Why photos may be others than those that were asked for; "" if nothing speaks for that."""
+    return next((one.contradiction for one in found if one.contradiction), "")

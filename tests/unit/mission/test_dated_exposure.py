@@ -1,0 +1,74 @@
+"""Photos that tell when they were exposed: the pose at that moment decides, whatever was judged before."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from panoexec.devices import CaptureEvidence, EvidenceLevel
+from panoexec.mission.dated_exposure import ShutterLag, window
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.states import MissionState
+from tests.unit.fakes.checks import check_mission
+from tests.unit.fakes.flying import fly
+from tests.unit.fakes.world import World, some_settings
+
+
+def late(world: World, latency_s: float) -> None:
+    world.camera.latency_s = latency_s
+    world.camera.dates = True
+
+
+@pytest.mark.parametrize("latency_s", [0.3, 0.8, 1.2, 2.5])
+def test_a_late_shutter_is_found_out_at_its_first_photo_and_waited_for_from_then_on(latency_s: float) -> None:
+    world = fly(prepare=lambda w: late(w, latency_s))
+    assert world.record.state is MissionState.COMPLETE
+    check_mission(world, world.record)  # each accepted photo was exposed in tolerance, by the fakes' truth
+    rejected = world.sink.of(ev.ShotRejected)
+    assert len(rejected) <= 3
+    assert {event.code for event in rejected} <= {"late_exposure"}
+    assert all(f"exposed {latency_s:.2f} s after its trigger" in event.reason for event in rejected)
+    warned = [event for event in world.sink.of(ev.Warned) if event.code == "latency"]
+    assert len(warned) == 1
+    assert f"exposes {latency_s:.2f} s after its trigger" in warned[0].text
+    assert "latency_s is" in warned[0].text
+
+
+def test_a_shutter_as_configured_costs_nothing() -> None:
+    plain, dated = fly(), fly(prepare=lambda w: setattr(w.camera, "dates", True))
+    assert dated.record.attempts == plain.record.attempts == 4
+    assert not dated.sink.of(ev.Warned)
+    took_s = [world.journal.events[-1].clock_s for world in (plain, dated)]
+    assert took_s[1] == pytest.approx(took_s[0], abs=0.2)
+
+
+def test_a_photo_that_may_be_another_one_is_taken_again() -> None:
+    why = "the camera reported photo 7, which fits no trigger"
+    world = fly(prepare=lambda w: w.camera.contradictions.update({1: why}))
+    assert world.record.state is MissionState.COMPLETE
+    rejected = world.sink.of(ev.ShotRejected)
+    assert [(event.code, event.reason) for event in rejected] == [("evidence", why)]
+
+
+def test_the_window_is_bounded_by_trigger_and_report() -> None:
+    settings = some_settings(latency_s=0.1, exposure_s=0.02)
+
+    def found(level: EvidenceLevel, exposed_s: float, received_s: float = 99.0) -> CaptureEvidence:
+        return CaptureEvidence(level=level, received_s=received_s, exposed_s=exposed_s, exposed_error_s=0.05)
+
+    captured = found(EvidenceLevel.CAPTURE_MESSAGE, 10.02, received_s=10.06)
+    assert window(captured, 10.0, settings) == pytest.approx((10.0, 10.06))
+    assert window(found(EvidenceLevel.FEEDBACK_PIN, 11.0), 10.0, settings) == pytest.approx((10.95, 11.07))
+    # a trigger that is dated says that the shutter opens within the latency after it
+    assert window(found(EvidenceLevel.COUNTED, 11.0), 10.0, settings) == pytest.approx((10.95, 11.17))
+
+
+def test_what_cannot_be_a_lag_is_not_learned() -> None:
+    lag = ShutterLag(0.1)
+    for exposed_s, error_s in ((math.nan, math.nan), (11.0, 1.0), (9.0, 0.05), (40.0, 0.05)):
+        found = CaptureEvidence(
+            level=EvidenceLevel.CAPTURE_MESSAGE, received_s=99.0, exposed_s=exposed_s, exposed_error_s=error_s
+        )
+        assert lag.note(found, 10.0) == ""
+    assert lag.bound_s == 0.1
