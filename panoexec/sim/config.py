@@ -100,6 +100,9 @@ class CameraConfig:
         storage_mib: size of the card.
         image_mib: what one photo takes of it.
         index_start: image index of the first photo.
+        clock_rate: camera seconds per second: below 1 its clock runs slow.
+        clock_step_s: by how much its clock is stepped, once; negative is back.
+        clock_step_at_s: when that happens, in the camera's seconds since boot.
     """
 
     optics: Camera = DEFAULT_CAMERA
@@ -111,6 +114,9 @@ class CameraConfig:
     storage_mib: float = 65536.0
     image_mib: float = 12.0
     index_start: int = 1
+    clock_rate: float = 1.0
+    clock_step_s: float = 0.0
+    clock_step_at_s: float = 30.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

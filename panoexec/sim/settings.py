@@ -15,7 +15,16 @@ from panoexec.errors import UsageError
 from panoexec.sim.config import SimConfig
 
 _CHANGEABLE = ("gimbal", "camera", "airframe")
-_ANY_SIGN = {"min_deg", "max_deg", "latitude_deg", "longitude_deg", "home_altitude_m", "heading_deg", "wind_from_deg"}
+_ANY_SIGN = {
+    "min_deg",
+    "max_deg",
+    "latitude_deg",
+    "longitude_deg",
+    "home_altitude_m",
+    "heading_deg",
+    "wind_from_deg",
+    "clock_step_s",
+}
 _NOT_ZERO = {
     "rate_deg_s",
     "acceleration_deg_s2",
@@ -26,6 +35,7 @@ _NOT_ZERO = {
     "render_width_px",
     "exposure_s",
     "image_mib",
+    "clock_rate",
 }
 
 

@@ -260,7 +260,7 @@ class CameraComponent:
             url = url.rsplit("/", 1)[-1]
         fix = self.fix
         message = mavlink.MAVLink_camera_image_captured_message(
-            max(0, round((exposure.start_s - self._boot_s) * 1000)),
+            self._stamp_ms(exposure.start_s),
             round(self._clock.utc(exposure.start_s) * 1e6),
             1,
             round(fix.latitude_deg * 1e7),
@@ -280,7 +280,15 @@ class CameraComponent:
             self._timeline.after(self._config.report_s + 0.2, lambda: self._component.send(message))
 
     def _boot_ms(self) -> int:
-        return max(0, round((self._timeline.now_s - self._boot_s) * 1000))
+        return self._stamp_ms(self._timeline.now_s)
+
+    def _stamp_ms(self, time_s: float) -> int:
+        """A moment by the camera's own clock, which may run slow or be stepped."""
+        config = self._config
+        stamp_s = config.clock_rate * (time_s - self._boot_s)
+        if stamp_s >= config.clock_step_at_s:
+            stamp_s += config.clock_step_s
+        return max(0, round(stamp_s * 1000))
 
     def _heartbeat(self) -> Message:
         return mavlink.MAVLink_heartbeat_message(
