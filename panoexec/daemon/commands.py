@@ -1,13 +1,13 @@
-"""Requests obeyed: each transaction once, each answered, nothing that a stranger sends can stop the daemon."""
+"""Requests dispatched to missions and plans: each is answered, and nothing a stranger sends can stop the daemon."""
 
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import json
 import time
 from collections import OrderedDict
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Final
 
 import structlog
@@ -37,18 +37,14 @@ from panoexec.mqtt.requests import (
     StartRequest,
     parse_request,
 )
-from panoexec.mqtt.transactions import Noted, Transactions
+from panoexec.mqtt.transactions import Transactions
 from panoexec.planning.model import Plan
 from panoexec.store.session import Devices
-
-MAX_UNDER_WAY: Final = 64
-"""Requests that may be worked on at the same time."""
 
 CAMERA: Final = "camera"
 DECLINED: Final = "declined mission"
 
 _KEPT_PLANS: Final = 4
-_KEPT_ANSWERS: Final = 200
 
 _log = structlog.get_logger(__name__)
 
@@ -90,8 +86,6 @@ class Commands:
         self._group = group
         self._respond = respond
         self._refresh = refresh
-        self._under_way: dict[str, tuple[str, list[Incoming]]] = {}
-        self._answers: OrderedDict[str, tuple[str, bytes]] = OrderedDict()
         self._plans: OrderedDict[str, Plan] = OrderedDict()
         self._planning = asyncio.Lock()
         self._starting: asyncio.Task[Plan] | None = None
@@ -107,62 +101,14 @@ class Commands:
         """Take a request as it came; returns at once and never raises."""
         try:
             request = parse_request(incoming.command, incoming.payload, retained=incoming.retained, size=incoming.size)
+            is_new = self._transactions.enter(request, partial(self._respond, incoming))
         except RefusedRequestError as error:
-            self._refuse(incoming, error)
+            _log.warning("request refused", command=incoming.command[:60], code=error.code, error=error.message[:300])
+            self._respond(incoming, dump(failed(error)))
             return
-        key = json.dumps(request.transaction)
-        digest = _digest(request)
-        waiting = self._under_way.get(key)
-        if waiting is not None and waiting[0] == digest:
-            if len(waiting[1]) < MAX_UNDER_WAY:
-                waiting[1].append(incoming)
-            return
-        if waiting is not None or len(self._under_way) >= MAX_UNDER_WAY:
-            refused = RefusedRequestError("overload", f"{MAX_UNDER_WAY} requests are under way: ask again later")
-            if waiting is not None:
-                refused = RefusedRequestError("conflict", "another request has this transaction", field="transaction")
-            refused.transaction = request.transaction
-            self._refuse(incoming, refused)
-            return
-        self._under_way[key] = (digest, [incoming])
-        self._group.create_task(self._serve(key, digest, request, incoming), name=f"request {request.command}")
-
-    def _refuse(self, incoming: Incoming, error: RefusedRequestError) -> None:
-        _log.warning("request refused", command=incoming.command[:60], code=error.code, error=error.message[:300])
-        self._respond(incoming, dump(failed(error)))
-
-    async def _serve(self, key: str, digest: str, request: Request, incoming: Incoming) -> None:
-        try:
-            payload = await self._answer(key, digest, request, incoming)
-        finally:
-            _, waiting = self._under_way.pop(key)
-        for one in waiting:
-            self._respond(one, payload)
-
-    async def _answer(self, key: str, digest: str, request: Request, incoming: Incoming) -> bytes:
-        try:
-            if request.acts:
-                noted = await self._transactions.note(request)
-                if noted.standing == "answered":
-                    return noted.response.encode()
-                _check_new(noted)
-            elif (known := self._answers.get(key)) is not None and known[0] == digest:
-                return known[1]
-            response = await self._obeyed(request, incoming)
-        except RefusedRequestError as error:
-            _log.warning("request refused", command=request.command, code=error.code, error=error.message[:300])
-            return dump(failed(error, request.transaction))
-        payload = dump(response)
-        if request.acts:
-            try:
-                await self._transactions.answered(request, payload.decode())
-            except RefusedRequestError as error:
-                _log.error("the answer could not be kept", error=error.message)
-        else:
-            self._answers[key] = (digest, payload)
-            while len(self._answers) > _KEPT_ANSWERS:
-                self._answers.popitem(last=False)
-        return payload
+        if is_new:
+            serving = self._transactions.serve(request, partial(self._obeyed, request, incoming))
+            self._group.create_task(serving, name=f"request {request.command}")
 
     async def _obeyed(self, request: Request, incoming: Incoming) -> Response:
         """Obey if it is not too late, and turn whatever goes wrong into an answer."""
@@ -319,19 +265,6 @@ def _plan_data(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _check_new(noted: Noted) -> None:
-    if noted.standing != "new":
-        raise RefusedRequestError(
-            "interrupted",
-            "the daemon ended while it obeyed this request: the state tells whether it did; it does not act again",
-        )
-
-
 def _check_fresh(incoming: Incoming) -> None:
     if time.monotonic() > incoming.expires_s:
         raise RefusedRequestError("expired", "the request's message expiry passed before it was obeyed")
-
-
-def _digest(request: Request) -> str:
-    fields = json.dumps([request.command, request.model_dump(mode="python")], sort_keys=True)
-    return hashlib.sha256(fields.encode()).hexdigest()
