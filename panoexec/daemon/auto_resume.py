@@ -9,10 +9,11 @@ from typing import Final
 import structlog
 
 from panoexec.daemon.commands import Commands
+from panoexec.daemon.errors import MissionBusyError
 from panoexec.daemon.missions import Missions
 from panoexec.daemon.vehicle_link import VehicleLink
 from panoexec.inputs.config import Config
-from panoexec.mqtt.requests import RefusedRequestError
+from panoexec.store.session import NotResumableError
 
 _POLL_S: Final = 0.5
 
@@ -62,7 +63,7 @@ class AutoResume:
                 try:
                     async with self._missions.claimed():
                         await self._missions.go_on(devices)
-                except RefusedRequestError as error:
-                    _log.warning("the interrupted mission cannot be resumed", error=error.message)
+                except (MissionBusyError, NotResumableError) as error:
+                    _log.warning("the interrupted mission cannot be resumed", error=str(error))
                 return
             await asyncio.sleep(_POLL_S)

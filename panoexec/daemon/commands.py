@@ -12,11 +12,12 @@ from typing import Any, Final
 
 import structlog
 
+from panoexec.daemon.error_codes import refusal_of
+from panoexec.daemon.errors import MissionBusyError
 from panoexec.daemon.mission_request import Wish, chosen_profile, settings_of, wish_of
 from panoexec.daemon.missions import Missions
 from panoexec.daemon.planner import plan_apart
 from panoexec.daemon.vehicle_link import VehicleLink
-from panoexec.errors import PanoexecError, PlanningError, UsageError
 from panoexec.inputs.config import Config
 from panoexec.inputs.plan_file import camera_to_data, certificate_to_data, estimate_to_data
 from panoexec.mission.executor import Mission
@@ -39,7 +40,6 @@ from panoexec.mqtt.requests import (
 )
 from panoexec.mqtt.transactions import Transactions
 from panoexec.planning.model import Plan
-from panoexec.store.session import Devices
 
 CAMERA: Final = "camera"
 DECLINED: Final = "declined mission"
@@ -115,19 +115,10 @@ class Commands:
         try:
             _check_fresh(incoming)
             return ok(request.transaction, await self._obey(request))
-        except RefusedRequestError as error:
-            refused = error
-        except CommandRefusedError as error:
-            refused = RefusedRequestError("refused", str(error))
-        except PlanningError as error:
-            refused = RefusedRequestError("planning", str(error))
-        except UsageError as error:
-            refused = RefusedRequestError("invalid", str(error))
-        except PanoexecError as error:
-            refused = RefusedRequestError("device", str(error))
         except Exception as error:  # noqa: BLE001  (the edge of the service: no request may end the daemon)
-            _log.exception("a request met an error of ours", command=request.command)
-            refused = RefusedRequestError("internal", f"{type(error).__name__}: {error}")
+            refused = refusal_of(error)
+            if refused.code == "internal":
+                _log.exception("internal error while handling the request", command=request.command)
         _log.warning("request not obeyed", command=request.command, code=refused.code, error=refused.message[:300])
         return failed(refused, request.transaction)
 
@@ -153,7 +144,7 @@ class Commands:
     async def _command(self, request: PauseRequest | FinishRequest | SkipRequest | RepeatRequest) -> dict[str, Any]:
         mission = await self._missions.under_way()
         if mission is None:
-            raise RefusedRequestError("refused", f"cannot {request.command}: no mission is under way")
+            raise CommandRefusedError(f"cannot {request.command}: no mission is under way")
         shot: dict[str, Any] = {}
         match request:
             case PauseRequest():
@@ -188,13 +179,13 @@ class Commands:
         wish = wish_of(self._config(), request, camera=self.camera)
         settings = settings_of(self._config(), wish)
         async with self._missions.claimed():
-            devices = self._devices()
+            devices = self._vehicle.ready_devices()
             planning = asyncio.create_task(self._plan(wish), name="plan a mission")
             self._starting = planning
             try:
                 await asyncio.wait({planning})
                 if planning.cancelled():
-                    raise RefusedRequestError("refused", "aborted before it began")
+                    raise CommandRefusedError("aborted before it began")
                 plan = planning.result()
             finally:
                 self._starting = None
@@ -209,9 +200,9 @@ class Commands:
             return await self._done(mission)
         async with self._missions.claimed():
             if self._missions.offer is None:
-                raise RefusedRequestError("refused", "cannot resume: no mission is paused and none was interrupted")
+                raise CommandRefusedError("cannot resume: no mission is paused and none was interrupted")
             await self._transactions.remember(DECLINED, None)
-            return {"mission_id": await self._missions.go_on(self._devices())}
+            return {"mission_id": await self._missions.go_on(self._vehicle.ready_devices())}
 
     async def _abort(self, reason: str) -> dict[str, Any]:
         if self._starting is not None:
@@ -222,10 +213,10 @@ class Commands:
             mission.verbs.abort(reason)
             return await self._done(mission)
         if self._missions.busy:
-            raise RefusedRequestError("busy", "the mission is just beginning: ask again")
+            raise MissionBusyError("the mission is just beginning: ask again")
         offer = self._missions.offer
         if offer is None:
-            raise RefusedRequestError("refused", "cannot abort: no mission is under way")
+            raise CommandRefusedError("cannot abort: no mission is under way")
         # it stays on disk and may be resumed by request, but does not go on by itself any more
         await self._transactions.remember(DECLINED, offer.stored_id)
         return {"mission_id": offer.stored_id}
@@ -234,14 +225,6 @@ class Commands:
         """Whether nobody called off the offered mission."""
         offer = self._missions.offer
         return offer is not None and await self._transactions.recall(DECLINED) != offer.stored_id
-
-    def _devices(self) -> Devices:
-        devices = self._vehicle.devices
-        if devices is None or not self._vehicle.links().autopilot.ok:
-            raise RefusedRequestError(
-                "not_ready", f"the vehicle is not ready: {self._vehicle.lacking or 'no heartbeats'}"
-            )
-        return devices
 
     async def _set_profile(self, camera: str | dict[str, Any] | None) -> dict[str, Any]:
         profile = chosen_profile(self._config(), camera)

@@ -18,6 +18,7 @@ from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.serial_ports import connection_of
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import Clock
+from panoexec.daemon.errors import VehicleNotReadyError
 from panoexec.devices import VehicleStatus
 from panoexec.errors import DeviceError
 from panoexec.inputs.config import Config
@@ -93,6 +94,16 @@ class VehicleLink:
             (connected and gimbal < _GIMBAL_SILENT_S, gimbal),
             (connected and has_camera, camera),
         )
+
+    def ready_devices(self) -> Devices:
+        """The devices, all of them there.
+
+        Raises:
+            VehicleNotReadyError: one is missing.
+        """
+        if self.devices is None or not self.links().autopilot.ok:
+            raise VehicleNotReadyError(f"the vehicle is not ready: {self.lacking or 'no heartbeats'}")
+        return self.devices
 
     async def run(self) -> None:
         """Hold the link for ever."""
