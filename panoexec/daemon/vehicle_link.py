@@ -176,6 +176,8 @@ class VehicleLink:
     def _look(self) -> None:
         """Prove life, and tell changes."""
         self.pulse_s = time.monotonic()
+        if self._gimbal is not None:
+            self._gimbal.feed.ingest()  # while nobody else reads, on the loop's own wake-ups
         oks = tuple(ok for ok, _ in self._standing())
         if oks != self._oks:
             self._oks = oks
