@@ -172,15 +172,22 @@ class Camera(Protocol):
 
 
 class AttitudeFeed(Protocol):
-    """The stream of gimbal attitudes, newest kept."""
+    """The stream of gimbal attitudes, newest kept.
+
+    Reports are ingested by `ingest`, by `newer_than`, and about once a second. The others only read what was ingested.
+    """
+
+    def ingest(self) -> None:
+        """Take in all reports that have arrived; before reading, where the newest counts."""
+        ...
 
     @property
     def latest(self) -> AttitudeSample | None:
-        """The newest sample, or None before the first."""
+        """The newest sample that was ingested, or None before the first."""
         ...
 
     def since(self, received_s: float) -> Sequence[AttitudeSample]:
-        """All samples that arrived after `received_s`, oldest first; at least the last 60 s are kept."""
+        """All ingested samples that arrived after `received_s`, oldest first; at least the last 60 s are kept."""
         ...
 
     async def newer_than(self, received_s: float) -> AttitudeSample:

@@ -208,8 +208,11 @@ def _progress(live: object) -> Progress:
 def _error_deg(mission: Mission) -> float:
     """Angle between where the camera looks now and where it should; NaN where unknown."""
     shooter, current = mission.shooter, mission.record.current
-    sample = None if shooter is None else shooter.gimbal.feed.latest
-    if shooter is None or current is None or sample is None:
+    if shooter is None or current is None:
+        return math.nan
+    shooter.gimbal.feed.ingest()
+    sample = shooter.gimbal.feed.latest
+    if sample is None:
         return math.nan
     reading = read_pose(sample, shooter.gimbal.feed.vehicle_attitude_at(sample), shooter.reference_yaw_north_deg)
     if reading.rotation is None:

@@ -1,22 +1,23 @@
-"""Requests obeyed: each transaction once, each answered, nothing that a stranger sends can stop the daemon."""
+"""Requests dispatched to missions and plans: each is answered, and nothing a stranger sends can stop the daemon."""
 
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import json
 import time
 from collections import OrderedDict
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Final
 
 import structlog
 
+from panoexec.daemon.error_codes import refusal_of
+from panoexec.daemon.errors import MissionBusyError
 from panoexec.daemon.mission_request import Wish, chosen_profile, settings_of, wish_of
 from panoexec.daemon.missions import Missions
 from panoexec.daemon.planner import plan_apart
 from panoexec.daemon.vehicle_link import VehicleLink
-from panoexec.errors import PanoexecError, PlanningError, UsageError
 from panoexec.inputs.config import Config
 from panoexec.inputs.plan_file import camera_to_data, certificate_to_data, estimate_to_data
 from panoexec.mission.executor import Mission
@@ -37,18 +38,13 @@ from panoexec.mqtt.requests import (
     StartRequest,
     parse_request,
 )
-from panoexec.mqtt.transactions import Noted, Transactions
+from panoexec.mqtt.transactions import Transactions
 from panoexec.planning.model import Plan
-from panoexec.store.session import Devices
-
-MAX_UNDER_WAY: Final = 64
-"""Requests that may be worked on at the same time."""
 
 CAMERA: Final = "camera"
 DECLINED: Final = "declined mission"
 
 _KEPT_PLANS: Final = 4
-_KEPT_ANSWERS: Final = 200
 
 _log = structlog.get_logger(__name__)
 
@@ -90,8 +86,6 @@ class Commands:
         self._group = group
         self._respond = respond
         self._refresh = refresh
-        self._under_way: dict[str, tuple[str, list[Incoming]]] = {}
-        self._answers: OrderedDict[str, tuple[str, bytes]] = OrderedDict()
         self._plans: OrderedDict[str, Plan] = OrderedDict()
         self._planning = asyncio.Lock()
         self._starting: asyncio.Task[Plan] | None = None
@@ -107,81 +101,24 @@ class Commands:
         """Take a request as it came; returns at once and never raises."""
         try:
             request = parse_request(incoming.command, incoming.payload, retained=incoming.retained, size=incoming.size)
+            is_new = self._transactions.enter(request, partial(self._respond, incoming))
         except RefusedRequestError as error:
-            self._refuse(incoming, error)
+            _log.warning("request refused", command=incoming.command[:60], code=error.code, error=error.message[:300])
+            self._respond(incoming, dump(failed(error)))
             return
-        key = json.dumps(request.transaction)
-        digest = _digest(request)
-        waiting = self._under_way.get(key)
-        if waiting is not None and waiting[0] == digest:
-            if len(waiting[1]) < MAX_UNDER_WAY:
-                waiting[1].append(incoming)
-            return
-        if waiting is not None or len(self._under_way) >= MAX_UNDER_WAY:
-            refused = RefusedRequestError("overload", f"{MAX_UNDER_WAY} requests are under way: ask again later")
-            if waiting is not None:
-                refused = RefusedRequestError("conflict", "another request has this transaction", field="transaction")
-            refused.transaction = request.transaction
-            self._refuse(incoming, refused)
-            return
-        self._under_way[key] = (digest, [incoming])
-        self._group.create_task(self._serve(key, digest, request, incoming), name=f"request {request.command}")
-
-    def _refuse(self, incoming: Incoming, error: RefusedRequestError) -> None:
-        _log.warning("request refused", command=incoming.command[:60], code=error.code, error=error.message[:300])
-        self._respond(incoming, dump(failed(error)))
-
-    async def _serve(self, key: str, digest: str, request: Request, incoming: Incoming) -> None:
-        try:
-            payload = await self._answer(key, digest, request, incoming)
-        finally:
-            _, waiting = self._under_way.pop(key)
-        for one in waiting:
-            self._respond(one, payload)
-
-    async def _answer(self, key: str, digest: str, request: Request, incoming: Incoming) -> bytes:
-        try:
-            if request.acts:
-                noted = await self._transactions.note(request)
-                if noted.standing == "answered":
-                    return noted.response.encode()
-                _check_new(noted)
-            elif (known := self._answers.get(key)) is not None and known[0] == digest:
-                return known[1]
-            response = await self._obeyed(request, incoming)
-        except RefusedRequestError as error:
-            _log.warning("request refused", command=request.command, code=error.code, error=error.message[:300])
-            return dump(failed(error, request.transaction))
-        payload = dump(response)
-        if request.acts:
-            try:
-                await self._transactions.answered(request, payload.decode())
-            except RefusedRequestError as error:
-                _log.error("the answer could not be kept", error=error.message)
-        else:
-            self._answers[key] = (digest, payload)
-            while len(self._answers) > _KEPT_ANSWERS:
-                self._answers.popitem(last=False)
-        return payload
+        if is_new:
+            serving = self._transactions.serve(request, partial(self._obeyed, request, incoming))
+            self._group.create_task(serving, name=f"request {request.command}")
 
     async def _obeyed(self, request: Request, incoming: Incoming) -> Response:
         """Obey if it is not too late, and turn whatever goes wrong into an answer."""
         try:
             _check_fresh(incoming)
             return ok(request.transaction, await self._obey(request))
-        except RefusedRequestError as error:
-            refused = error
-        except CommandRefusedError as error:
-            refused = RefusedRequestError("refused", str(error))
-        except PlanningError as error:
-            refused = RefusedRequestError("planning", str(error))
-        except UsageError as error:
-            refused = RefusedRequestError("invalid", str(error))
-        except PanoexecError as error:
-            refused = RefusedRequestError("device", str(error))
         except Exception as error:  # noqa: BLE001  (the edge of the service: no request may end the daemon)
-            _log.exception("a request met an error of ours", command=request.command)
-            refused = RefusedRequestError("internal", f"{type(error).__name__}: {error}")
+            refused = refusal_of(error)
+            if refused.code == "internal":
+                _log.exception("internal error while handling the request", command=request.command)
         _log.warning("request not obeyed", command=request.command, code=refused.code, error=refused.message[:300])
         return failed(refused, request.transaction)
 
@@ -207,7 +144,7 @@ class Commands:
     async def _command(self, request: PauseRequest | FinishRequest | SkipRequest | RepeatRequest) -> dict[str, Any]:
         mission = await self._missions.under_way()
         if mission is None:
-            raise RefusedRequestError("refused", f"cannot {request.command}: no mission is under way")
+            raise CommandRefusedError(f"cannot {request.command}: no mission is under way")
         shot: dict[str, Any] = {}
         match request:
             case PauseRequest():
@@ -242,13 +179,13 @@ class Commands:
         wish = wish_of(self._config(), request, camera=self.camera)
         settings = settings_of(self._config(), wish)
         async with self._missions.claimed():
-            devices = self._devices()
+            devices = self._vehicle.ready_devices()
             planning = asyncio.create_task(self._plan(wish), name="plan a mission")
             self._starting = planning
             try:
                 await asyncio.wait({planning})
                 if planning.cancelled():
-                    raise RefusedRequestError("refused", "aborted before it began")
+                    raise CommandRefusedError("aborted before it began")
                 plan = planning.result()
             finally:
                 self._starting = None
@@ -263,9 +200,9 @@ class Commands:
             return await self._done(mission)
         async with self._missions.claimed():
             if self._missions.offer is None:
-                raise RefusedRequestError("refused", "cannot resume: no mission is paused and none was interrupted")
+                raise CommandRefusedError("cannot resume: no mission is paused and none was interrupted")
             await self._transactions.remember(DECLINED, None)
-            return {"mission_id": await self._missions.go_on(self._devices())}
+            return {"mission_id": await self._missions.go_on(self._vehicle.ready_devices())}
 
     async def _abort(self, reason: str) -> dict[str, Any]:
         if self._starting is not None:
@@ -276,10 +213,10 @@ class Commands:
             mission.verbs.abort(reason)
             return await self._done(mission)
         if self._missions.busy:
-            raise RefusedRequestError("busy", "the mission is just beginning: ask again")
+            raise MissionBusyError("the mission is just beginning: ask again")
         offer = self._missions.offer
         if offer is None:
-            raise RefusedRequestError("refused", "cannot abort: no mission is under way")
+            raise CommandRefusedError("cannot abort: no mission is under way")
         # it stays on disk and may be resumed by request, but does not go on by itself any more
         await self._transactions.remember(DECLINED, offer.stored_id)
         return {"mission_id": offer.stored_id}
@@ -288,14 +225,6 @@ class Commands:
         """Whether nobody called off the offered mission."""
         offer = self._missions.offer
         return offer is not None and await self._transactions.recall(DECLINED) != offer.stored_id
-
-    def _devices(self) -> Devices:
-        devices = self._vehicle.devices
-        if devices is None or not self._vehicle.links().autopilot.ok:
-            raise RefusedRequestError(
-                "not_ready", f"the vehicle is not ready: {self._vehicle.lacking or 'no heartbeats'}"
-            )
-        return devices
 
     async def _set_profile(self, camera: str | dict[str, Any] | None) -> dict[str, Any]:
         profile = chosen_profile(self._config(), camera)
@@ -319,19 +248,6 @@ def _plan_data(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _check_new(noted: Noted) -> None:
-    if noted.standing != "new":
-        raise RefusedRequestError(
-            "interrupted",
-            "the daemon ended while it obeyed this request: the state tells whether it did; it does not act again",
-        )
-
-
 def _check_fresh(incoming: Incoming) -> None:
     if time.monotonic() > incoming.expires_s:
         raise RefusedRequestError("expired", "the request's message expiry passed before it was obeyed")
-
-
-def _digest(request: Request) -> str:
-    fields = json.dumps([request.command, request.model_dump(mode="python")], sort_keys=True)
-    return hashlib.sha256(fields.encode()).hexdigest()

@@ -11,6 +11,7 @@ from typing import Final, Literal
 import structlog
 
 from panoexec.clock import Clock
+from panoexec.daemon.errors import MissionBusyError, MissionStorageError
 from panoexec.daemon.storage import storage_trouble
 from panoexec.devices import Severity, Vehicle
 from panoexec.errors import PanoexecError
@@ -21,7 +22,6 @@ from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.log.states import ENDED, MissionState
 from panoexec.mission.mission_requests import CommandRefusedError
 from panoexec.mission.settings import MissionSettings
-from panoexec.mqtt.requests import RefusedRequestError
 from panoexec.planning.model import Plan
 from panoexec.report.mission_outputs import write_mission_outputs
 from panoexec.store.directory import mission_directories
@@ -128,7 +128,7 @@ class Missions:
         A mission that is over, and whose files are still being written, is waited for.
 
         Raises:
-            RefusedRequestError: a mission flies.
+            MissionBusyError: a mission flies.
         """
         if self._claimed and self._over:
             with contextlib.suppress(TimeoutError):
@@ -136,7 +136,7 @@ class Missions:
                     await self._idle.wait()
         if self._claimed:
             name = self.record.mission_id if self.mission is not None and self.record is not None else "a mission"
-            raise RefusedRequestError("busy", f"{name} is under way: abort it first, or wait for its end")
+            raise MissionBusyError(f"{name} is under way: abort it first, or wait for its end")
         self._claimed, self._over = True, False
         self._idle.clear()
         try:
@@ -149,7 +149,7 @@ class Missions:
         """Make a new mission and have it flown; returns its id. Only while `claimed`.
 
         Raises:
-            RefusedRequestError: it cannot be stored.
+            MissionStorageError: it cannot be stored.
         """
         storage = self._config().storage
         try:
@@ -162,7 +162,7 @@ class Missions:
                 extra={REFERENCE: reference},
             )
         except PanoexecError as error:
-            raise RefusedRequestError("storage", str(error)) from error
+            raise MissionStorageError(str(error)) from error
         self.offer = None
         self._begun.clear()
         self._next.put_nowait((stored, devices, reference))
@@ -172,20 +172,18 @@ class Missions:
         """Go on with the offered mission; returns its id. Only while `claimed`.
 
         Raises:
-            RefusedRequestError: none is offered, or it cannot be resumed.
+            NotResumableError: none is offered, or it cannot be resumed.
         """
         if self.offer is None:
-            raise RefusedRequestError("refused", "cannot resume: no mission is paused and none was interrupted")
+            raise NotResumableError("cannot resume: no mission is paused and none was interrupted")
         storage = self._config().storage.path
         directory = next((d for d in mission_directories(storage) if d.mission_id == self.offer.stored_id), None)
         if directory is None:
-            raise RefusedRequestError(
-                "refused", f"cannot resume: mission {self.offer.stored_id} is gone from {storage}"
-            )
+            raise NotResumableError(f"cannot resume: mission {self.offer.stored_id} is gone from {storage}")
         try:
             stored = await open_mission(directory)
         except PanoexecError as error:
-            raise RefusedRequestError("refused", str(error)) from error
+            raise NotResumableError(str(error)) from error
         self.offer = None
         self._begun.clear()
         # only of weight where a process died before it could put its first event on disk
@@ -239,7 +237,7 @@ class Missions:
             await self._tell_pilot(devices.vehicle)
         except Exception as error:  # noqa: BLE001  (the edge of the service: a fault of ours must not end the daemon)
             self.trouble = f"{type(error).__name__}: {error}"
-            _log.exception("mission ended by an error of ours", mission_id=stored.directory.mission_id)
+            _log.exception("mission ended by an internal error", mission_id=stored.directory.mission_id)
             await self._tell_pilot(devices.vehicle)
         finally:
             self.mission, self._over = None, True
@@ -300,4 +298,4 @@ class Missions:
         storage.path.mkdir(parents=True, exist_ok=True)
         trouble = storage_trouble(storage)
         if trouble:
-            raise RefusedRequestError("storage", trouble)
+            raise MissionStorageError(trouble)

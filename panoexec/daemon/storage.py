@@ -1,14 +1,24 @@
-"""Whether missions can be kept: looked at now and then, so that a crew learns of a full disk before the flight."""
+"""Whether missions can be stored: checked at intervals, so that a crew learns of a full disk before the flight."""
 
 from __future__ import annotations
 
+import asyncio
 import os
+from collections.abc import Awaitable, Callable
+from typing import Final
+
+import structlog
 
 from panoexec.inputs.config import StorageSection
+from panoexec.mqtt.transactions import Transactions
+
+_PERIOD_S: Final = 15.0
+
+_log = structlog.get_logger(__name__)
 
 
 def storage_trouble(section: StorageSection) -> str:
-    """Why no mission could be kept there, "" if one could. A folder that does not exist is made when it is needed."""
+    """Why no mission could be stored there, "" if one could. A folder that does not exist is made when it is needed."""
     try:
         found = os.statvfs(section.path)
     except FileNotFoundError:
@@ -21,3 +31,55 @@ def storage_trouble(section: StorageSection) -> str:
     if free_mb < section.min_free_mb:
         return f"{section.path} has {free_mb:.0f} MB left: [storage] min_free_mb asks for {section.min_free_mb:g}"
     return ""
+
+
+class StorageMonitor:
+    """Checks the storage in `run`, which is one task of the daemon.
+
+    Attributes:
+        trouble: why no mission could be stored, "" if one could.
+    """
+
+    def __init__(
+        self,
+        *,
+        section: Callable[[], StorageSection],
+        transactions: Transactions,
+        changed: Callable[[], None],
+        on_readable: Callable[[], Awaitable[None]],
+    ) -> None:
+        """Describe it.
+
+        Args:
+            section: `[storage]` as of now.
+            transactions: the store whose file is opened as soon as that is possible.
+            changed: called when there is trouble, or none any more.
+            on_readable: called once, when the storage can first be read.
+        """
+        self.trouble = ""
+        self._section = section
+        self._transactions = transactions
+        self._changed = changed
+        self._on_readable = on_readable
+        self._was_readable = False
+
+    async def check(self) -> None:
+        """Check now."""
+        closed = await self._transactions.opened()
+        trouble = closed or await asyncio.to_thread(storage_trouble, self._section())
+        if trouble != self.trouble:
+            self.trouble = trouble
+            if trouble:
+                _log.warning("storage cannot be used", trouble=trouble)
+            else:
+                _log.warning("storage recovered")
+            self._changed()
+        if not closed and not self._was_readable:
+            self._was_readable = True
+            await self._on_readable()
+
+    async def run(self) -> None:
+        """Check every 15 s."""
+        while True:
+            await asyncio.sleep(_PERIOD_S)
+            await self.check()

@@ -6,18 +6,19 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable
 from typing import Final
 
 import structlog
 
-from panoexec.adapters.camera.mavsdk_camera import MavsdkCamera
-from panoexec.adapters.camera.serial_shutter import SerialShutter
+from panoexec.adapters.camera.camera_kind import OpenCamera
+from panoexec.adapters.camera.open_camera import open_camera
 from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.serial_ports import connection_of
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import Clock
+from panoexec.daemon.errors import VehicleNotReadyError
 from panoexec.devices import VehicleStatus
 from panoexec.errors import DeviceError
 from panoexec.inputs.config import Config
@@ -28,7 +29,6 @@ _FIND_S: Final = 8.0
 _BACKOFF_S: Final = 1.0
 _BACKOFF_MOST_S: Final = 15.0
 _GIMBAL_SILENT_S: Final = 3.0
-_CAMERA_SILENT_S: Final = 15.0
 _LOOK_S: Final = 1.0
 _NAMES: Final = ("autopilot", "gimbal", "camera")
 
@@ -60,7 +60,7 @@ class VehicleLink:
         self._changed = changed
         self._link: MavsdkLink | None = None
         self._gimbal: MavsdkGimbal | None = None
-        self._camera: MavsdkCamera | SerialShutter | None = None
+        self._camera: OpenCamera | None = None
         self._vehicle: MavsdkVehicle | None = None
         self._oks: tuple[bool, ...] = ()
 
@@ -87,15 +87,23 @@ class VehicleLink:
         autopilot = math.inf if self._link is None else self._link.heartbeat_age_s
         gimbal = math.inf if self._gimbal is None else self._gimbal.age_s
         connected = self._link is not None and self._link.connected
-        camera = self._camera.age_s if isinstance(self._camera, MavsdkCamera) else math.inf
-        has_camera = self._camera is not None and (
-            isinstance(self._camera, SerialShutter) or (self._camera.found is not None and camera < _CAMERA_SILENT_S)
-        )
+        camera = math.inf if self._camera is None else self._camera.age_s
+        has_camera = self._camera is not None and self._camera.is_present
         return (
             (connected, autopilot),
             (connected and gimbal < _GIMBAL_SILENT_S, gimbal),
             (connected and has_camera, camera),
         )
+
+    def ready_devices(self) -> Devices:
+        """The devices, all of them there.
+
+        Raises:
+            VehicleNotReadyError: one is missing.
+        """
+        if self.devices is None or not self.links().autopilot.ok:
+            raise VehicleNotReadyError(f"the vehicle is not ready: {self.lacking or 'no heartbeats'}")
+        return self.devices
 
     async def run(self) -> None:
         """Hold the link for ever."""
@@ -130,7 +138,8 @@ class VehicleLink:
             )
             self._vehicle = await stack.enter_async_context(MavsdkVehicle(link))
             await self._find(link, self._gimbal)
-            self._camera = await stack.enter_async_context(self._opened_camera(link))
+            self._camera = await stack.enter_async_context(open_camera(self._config.camera, link))
+            await self._find_camera(self._camera)
             await link.use_rates(active=False)
             self.devices = Devices(gimbal=self._gimbal, camera=self._camera, vehicle=self._vehicle)
             self.reason = ""
@@ -153,38 +162,22 @@ class VehicleLink:
             else:
                 return
 
-    @contextlib.asynccontextmanager
-    async def _opened_camera(self, link: MavsdkLink) -> AsyncIterator[MavsdkCamera | SerialShutter]:
-        """The camera; what cannot be opened yet is tried again."""
-        section = self._config.camera
-        if section.trigger == "serial":
-            assert section.serial_port is not None
-            shutter = SerialShutter(
-                section.serial_port,
-                clock=self._clock,
-                line=section.serial_line,
-                payload=(section.serial_bytes or "").encode(),
-                pulse_s=section.pulse_s,
-                feedback=link,
-            )
-            async with shutter:
-                yield shutter
-            return
-        async with MavsdkCamera(link, component=section.component) as camera:
-            self._camera = camera
-            while True:
-                self._look()
-                try:
-                    await camera.discover(_FIND_S)
-                except DeviceError as error:
-                    self._missing(str(error))
-                else:
-                    break
-            yield camera
+    async def _find_camera(self, camera: OpenCamera) -> None:
+        """Return when the camera is there."""
+        while True:
+            self._look()
+            try:
+                await camera.discover(_FIND_S)
+            except DeviceError as error:
+                self._missing(str(error))
+            else:
+                return
 
     def _look(self) -> None:
         """Prove life, and tell changes."""
         self.pulse_s = time.monotonic()
+        if self._gimbal is not None:
+            self._gimbal.feed.ingest()  # while nobody else reads, on the loop's own wake-ups
         oks = tuple(ok for ok, _ in self._standing())
         if oks != self._oks:
             self._oks = oks

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from panoexec.adapters.camera.mavsdk_camera import CameraFound, MavsdkCamera
-from panoexec.adapters.camera.serial_shutter import SerialShutter
+from panoexec.adapters.camera.camera_kind import CameraFound
+from panoexec.adapters.camera.open_camera import KINDS, open_camera
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.daemon.mission_request import configured_profile
 from panoexec.devices import Camera, EvidenceLevel
@@ -17,65 +17,25 @@ from panoexec.inputs.config import Config
 
 _ENOUGH_PHOTOS: Final = 100
 _EVIDENCE_S: Final = 10.0
-_FEEDBACK_PIN: Final = "CAM1_FEEDBAK_PIN"
 
 
 async def check_camera(link: MavsdkLink, config: Config, findings: Findings, *, patience_s: float, photo: bool) -> None:
     """Look for the camera that the configuration names; with `photo` take one to see what proves it."""
-    if config.camera.trigger == "serial":
-        await _examine_shutter(link, config, findings, photo=photo)
-        return
-    async with MavsdkCamera(link, component=config.camera.component) as camera:
-        try:
-            found = await camera.discover(patience_s)
-        except DeviceError as error:
-            findings.missing(
-                "camera",
-                "found",
-                str(error),
-                needed="a camera that answers",
-                advice=f"{advise('camera', findings.autopilot)}; [camera] component",
-            )
-            return
-        name = f"{found.vendor} {found.model}".strip() or (
-            "a shutter of the autopilot" if found.by_autopilot else "unnamed"
-        )
-        findings.ok("camera", "found", f"{name}, component {found.component}")
-        _examine_size(found, config, findings)
-        _examine_room(camera.storage_free_images, findings)
-        best = EvidenceLevel.CAPTURE_MESSAGE
-        if found.by_autopilot:
-            best = EvidenceLevel.FEEDBACK_PIN if found.feedback_pin else EvidenceLevel.COUNTED
-        _examine_evidence(best, config, findings, may_hand_over=not found.by_autopilot)
-        if photo:
-            await _take_photo(camera, config, findings)
-
-
-async def _examine_shutter(link: MavsdkLink, config: Config, findings: Findings, *, photo: bool) -> None:
-    section = config.camera
-    assert section.serial_port is not None
-    payload = (section.serial_bytes or "").encode()
-    shutter = SerialShutter(
-        section.serial_port,
-        clock=link.clock,
-        line=section.serial_line,
-        payload=payload,
-        pulse_s=section.pulse_s,
-        feedback=link,
-    )
     try:
-        async with shutter:
-            findings.ok("camera", "found", f"a cable release on {section.serial_port} ({section.serial_line})")
-            wired = findings.autopilot == "ardupilot" and (await link.requests.parameter(_FEEDBACK_PIN) or -1) > 0
-            _examine_evidence(
-                EvidenceLevel.FEEDBACK_PIN if wired else EvidenceLevel.COMMANDED, config, findings, may_hand_over=False
-            )
+        async with open_camera(config.camera, link) as camera:
+            found = await camera.discover(patience_s)
+            findings.ok("camera", "found", found.label)
+            if found.is_two_way:
+                _examine_size(found, config, findings)
+                _examine_room(camera.storage_free_images, findings)
+            _examine_evidence(await camera.best_evidence(), config, findings, may_tell_files=found.may_tell_files)
             if photo:
-                await _take_photo(shutter, config, findings)
+                await _take_photo(camera, config, findings)
     except DeviceError as error:
-        findings.missing(
-            "camera", "found", str(error), advice="[camera] serial_port; systemd/serial.conf for the service"
-        )
+        kind = KINDS[config.camera.trigger]
+        parameters = [advise("camera", findings.autopilot)] if kind.set_by_autopilot else []
+        advice = "; ".join([*parameters, kind.settings])
+        findings.missing("camera", "found", str(error), needed=kind.needed, advice=advice)
 
 
 def _examine_size(found: CameraFound, config: Config, findings: Findings) -> None:
@@ -116,14 +76,14 @@ def _examine_room(photos: float, findings: Findings) -> None:
         findings.ok("camera", "storage", f"room for {photos:.0f} photos")
 
 
-def _examine_evidence(best: EvidenceLevel, config: Config, findings: Findings, *, may_hand_over: bool) -> None:
+def _examine_evidence(best: EvidenceLevel, config: Config, findings: Findings, *, may_tell_files: bool) -> None:
     """What can prove a photo, and whether that is as much as the configuration asks for."""
     wanted = EvidenceLevel[config.camera.evidence.upper()]
     known = [level.name.lower() for level in EvidenceLevel if level <= best]
     needed = f"{wanted.name.lower()} ([camera] evidence)"
     advice = f"{advise('evidence', findings.autopilot)}; or a lower [camera] evidence"
     text = f"up to {known[-1]}"
-    if wanted is EvidenceLevel.FILE_SEEN and may_hand_over:
+    if wanted is EvidenceLevel.FILE_SEEN and may_tell_files:
         findings.warning(
             "camera",
             "evidence",

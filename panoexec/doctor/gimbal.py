@@ -116,6 +116,7 @@ def _examine_feedback(gimbal: MavsdkGimbal, link: MavsdkLink, config: Config, fi
         findings.missing(
             "gimbal", "feedback", text, needed="measured angles", advice=f'{advice}; or [gimbal] feedback = "none"'
         )
+    gimbal.feed.ingest()
     sample = gimbal.feed.latest
     problems = attitude_problems(sample, now_s=link.clock.monotonic(), silence_s=config.guards.attitude_silence_s)
     if problems:

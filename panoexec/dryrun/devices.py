@@ -8,7 +8,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from panoexec.adapters.camera.mavsdk_camera import MavsdkCamera
+from panoexec.adapters.camera.open_camera import open_camera
 from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.stream_health import DEFAULT_STREAMS, Stream
@@ -19,6 +19,7 @@ from panoexec.dryrun.lockstep import Lockstep
 from panoexec.dryrun.pilot import MavsdkPilot
 from panoexec.dryrun.rigs import Rig, VehicleUnderTest
 from panoexec.errors import DeviceError
+from panoexec.inputs.config import CameraSection
 from panoexec.mission.settings import MissionSettings
 from panoexec.store.session import Devices
 
@@ -51,7 +52,7 @@ async def devices_on(
             follower = ClockFollower(clock)
             stack.enter_context(follower.following(link))
         gimbal = await stack.enter_async_context(MavsdkGimbal(link))
-        camera = await stack.enter_async_context(MavsdkCamera(link))
+        camera = await stack.enter_async_context(open_camera(CameraSection(), link))
         vehicle = await stack.enter_async_context(MavsdkVehicle(link))
         await link.wait_autopilot(FIND_S)
         found = await gimbal.discover(FIND_S)

@@ -304,6 +304,7 @@ def _shots_flown(record: MissionRecord, *, since_utc_s: float) -> tuple[Shot, ..
 def _pose_now(devices: Devices, reference_yaw_north_deg: float) -> tuple[float, float] | None:
     """Pitch and yaw of the gimbal in the plan's frame; None if it does not say."""
     feed = devices.gimbal.feed
+    feed.ingest()
     sample = feed.latest
     if sample is None or math.isnan(reference_yaw_north_deg):
         return None

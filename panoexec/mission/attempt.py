@@ -307,6 +307,7 @@ class Shooter:
         )
 
     def _pose_now(self) -> tuple[float, float] | None:
+        self.gimbal.feed.ingest()
         sample = self.gimbal.feed.latest
         if sample is None or self.open_loop:
             return None

@@ -50,6 +50,7 @@ class GuardMonitor:
             self._boots = status.boot_count
             flight.recorder.emit(ev.Warned(code="reboot", text="the autopilot has rebooted"))
         anchor(flight)
+        flight.gimbal.feed.ingest()
         sample = flight.gimbal.feed.latest
         situation = Situation(
             now_s=now,

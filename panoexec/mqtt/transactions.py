@@ -1,8 +1,10 @@
-"""Requests that were obeyed and how they were answered, so that the same one acts once, across restarts too.
+"""At most once: the same transaction gets the same answer and acts once, across restarts too.
 
-One SQLite file in the storage: a request is noted before it acts and its answer after, both durable. A request that was
-noted and never answered belongs to a process that died in between: nobody knows whether it acted, so it does not act
-again. The file also keeps the few things that the daemon must remember (`remember`, `recall`).
+Everything that decides so is here. A request that repeats one under way gets the answer of that one (`enter`). A
+request that only reads is answered from memory if it repeats a recent one. One that acts is kept in an SQLite file in
+the storage: it is noted before it acts and its answer after, both durable. A request that was noted and never answered
+belongs to a process that died in between: nobody knows whether it acted, so it does not act again. The file also keeps
+the few things that the daemon must remember (`remember`, `recall`).
 
 A disk that is full or read-only may be well again: the store can be opened all the same, refuses what acts until then,
 and opens its file when it is asked for the next time.
@@ -11,41 +13,36 @@ and opens its file when it is asked for the next time.
 from __future__ import annotations
 
 import asyncio
-import errno
 import hashlib
 import json
-import os
 import sqlite3
-from collections.abc import Callable
+from collections import OrderedDict
+from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal, Self, TypeAlias, TypeVar
 
+import structlog
+
 from panoexec.errors import UsageError
+from panoexec.mqtt.messages import Response, dump, failed
 from panoexec.mqtt.requests import RefusedRequestError, Request
+from panoexec.mqtt.transaction_file import StorageDownError, open_transaction_file
 
 T = TypeVar("T")
-ShotMark: TypeAlias = Literal["new", "under way", "interrupted", "answered"]
+TransactionStatus: TypeAlias = Literal["new", "under way", "interrupted", "answered"]
 
 KEPT: Final = 10_000
-"""Answers that are kept; older ones are forgotten."""
+"""Answers that are kept on disk; older ones are forgotten."""
 
-_MAY_HEAL: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
-_PRIMARY: Final = 0xFF
-"""SQLite's error codes say in their low byte what happened, and above it where."""
+KEPT_IN_MEMORY: Final = 200
+"""Answers to requests that only read."""
 
-_SCHEMA = """
-CREATE TABLE IF NOT EXISTS transactions (
-    id TEXT PRIMARY KEY, command TEXT NOT NULL, digest TEXT NOT NULL, boot_id TEXT NOT NULL, response TEXT,
-    number INTEGER NOT NULL
-) STRICT;
-CREATE TABLE IF NOT EXISTS memory (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
-"""
+MAX_UNDER_WAY: Final = 64
+"""Requests that may be worked on at the same time, and repeats of one that get its answer."""
 
-
-class StorageDownError(UsageError):
-    """The storage is full, read-only or broken: nothing is wrong with the configuration."""
+_log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,12 +50,20 @@ class Noted:
     """What is known of a transaction.
 
     Attributes:
-        standing: whether it may act now (`new`), acts already, acted in a process that died, or was answered.
+        status: whether it may act now (`new`), acts already, acted in a process that died, or was answered.
         response: the answer that was given, as JSON; "" without one.
     """
 
-    standing: ShotMark
+    status: TransactionStatus
     response: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class _UnderWay:
+    """A request that is worked on, and everybody who gets its answer."""
+
+    digest: str
+    replies: list[Callable[[bytes], None]] = field(default_factory=list)
 
 
 class Transactions:
@@ -74,6 +79,10 @@ class Transactions:
         self._boot_id = boot_id
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="transactions")
         self._connection: sqlite3.Connection | None = None
+        self._under_way: dict[str, _UnderWay] = {}
+        self._read: OrderedDict[str, tuple[str, bytes]] = OrderedDict()
+
+    # --- life
 
     @classmethod
     async def open(cls, path: Path, *, boot_id: str, patient: bool = False) -> Self:
@@ -122,8 +131,80 @@ class Transactions:
 
     def _database(self) -> sqlite3.Connection:
         if self._connection is None:
-            self._connection = _open(self.path)
+            self._connection = open_transaction_file(self.path)
         return self._connection
+
+    # --- at most once
+
+    def enter(self, request: Request, reply: Callable[[bytes], None]) -> bool:
+        """Take a request; `reply` gets its answer.
+
+        Returns:
+            Whether the caller must `serve` it: False for a repeat of one that is under way, which gets its answer, or
+            none if it was repeated too often.
+
+        Raises:
+            RefusedRequestError: another request under way has this transaction, or too many are under way.
+        """
+        key, digest = _key(request), _digest(request)
+        same = self._under_way.get(key)
+        if same is not None and same.digest != digest:
+            raise RefusedRequestError(
+                "conflict",
+                "another request has this transaction",
+                field="transaction",
+                transaction=request.transaction,
+            )
+        if same is not None:
+            if len(same.replies) < MAX_UNDER_WAY:
+                same.replies.append(reply)
+            return False
+        if len(self._under_way) >= MAX_UNDER_WAY:
+            raise RefusedRequestError(
+                "overload", f"{MAX_UNDER_WAY} requests are under way: ask again later", transaction=request.transaction
+            )
+        self._under_way[key] = _UnderWay(digest, [reply])
+        return True
+
+    async def serve(self, request: Request, obey: Callable[[], Awaitable[Response]]) -> None:
+        """Send the answer to all who `enter`ed this request: the one that was given before, else that of `obey`."""
+        try:
+            payload = await self._answer(request, obey)
+        finally:
+            replies = self._under_way.pop(_key(request)).replies
+        for reply in replies:
+            reply(payload)
+
+    async def _answer(self, request: Request, obey: Callable[[], Awaitable[Response]]) -> bytes:
+        if not request.acts:
+            return await self._answer_reading(request, obey)
+        try:
+            noted = await self.note(request)
+            if noted.status == "answered":
+                return noted.response.encode()
+            _check_new(noted)
+        except RefusedRequestError as error:
+            _log.warning("request refused", command=request.command, code=error.code, error=error.message[:300])
+            return dump(failed(error, request.transaction))
+        payload = dump(await obey())
+        try:
+            await self.answered(request, payload.decode())
+        except RefusedRequestError as error:
+            _log.error("the answer could not be stored", error=error.message)
+        return payload
+
+    async def _answer_reading(self, request: Request, obey: Callable[[], Awaitable[Response]]) -> bytes:
+        key, digest = _key(request), _digest(request)
+        known = self._read.get(key)
+        if known is not None and known[0] == digest:
+            return known[1]
+        payload = dump(await obey())
+        self._read[key] = digest, payload
+        while len(self._read) > KEPT_IN_MEMORY:
+            self._read.popitem(last=False)
+        return payload
+
+    # --- what is kept on disk
 
     async def note(self, request: Request) -> Noted:
         """Note that a request is going to act, durably, unless it is known.
@@ -131,7 +212,7 @@ class Transactions:
         Raises:
             RefusedRequestError: another request had the same transaction; or it cannot be written.
         """
-        key, digest = _key(request), _digest(request)
+        key, digest = _key(request), _fields_digest(request)
         return await self._run(lambda: self._note(key, request.command, digest))
 
     async def answered(self, request: Request, response: str) -> None:
@@ -186,7 +267,7 @@ class Transactions:
                     "INSERT INTO transactions SELECT ?, ?, ?, ?, NULL, COALESCE(MAX(number), 0) + 1 FROM transactions",
                     (key, command, digest, self._boot_id),
                 )
-                return Noted(standing="new")
+                return Noted(status="new")
         if (row[0], row[1]) != (command, digest):
             raise RefusedRequestError(
                 "conflict",
@@ -194,8 +275,8 @@ class Transactions:
                 field="transaction",
             )
         if row[3] is not None:
-            return Noted(standing="answered", response=str(row[3]))
-        return Noted(standing="under way" if row[2] == self._boot_id else "interrupted")
+            return Noted(status="answered", response=str(row[3]))
+        return Noted(status="under way" if row[2] == self._boot_id else "interrupted")
 
     async def _run(self, work: Callable[[], T]) -> T:
         try:
@@ -208,57 +289,22 @@ class Transactions:
             raise RefusedRequestError("storage", f"{error}; nothing was done") from error
 
 
+def _check_new(noted: Noted) -> None:
+    if noted.status != "new":
+        raise RefusedRequestError(
+            "interrupted",
+            "the daemon ended while it obeyed this request: the state tells whether it did; it does not act again",
+        )
+
+
 def _key(request: Request) -> str:
     return json.dumps(request.transaction)
 
 
 def _digest(request: Request) -> str:
+    return f"{request.command} {_fields_digest(request)}"
+
+
+def _fields_digest(request: Request) -> str:
     fields = json.dumps(request.model_dump(mode="python"), sort_keys=True)
     return hashlib.sha256(fields.encode()).hexdigest()
-
-
-def _open(path: Path) -> sqlite3.Connection:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return _prepared(sqlite3.connect(path, timeout=1.0, check_same_thread=False))
-    except OSError as error:
-        kind = StorageDownError if error.errno in _MAY_HEAL else UsageError
-        raise kind(
-            f"storage.path {path.parent}: cannot be used ({error.strerror}); give a folder that the service can write"
-        ) from error
-    except sqlite3.OperationalError as error:
-        if "locked" in str(error):
-            raise UsageError(
-                f"storage.path {path.parent}: in use by another panoexec; stop that one, or give each its own"
-            ) from error
-        if _is_down(error, path.parent):
-            raise StorageDownError(
-                f"storage.path {path.parent}: cannot be written ({error}); make room, or have the disk looked at"
-            ) from error
-        raise UsageError(f"{path}: cannot be opened ({error}); give a folder that the service can write") from error
-    except sqlite3.DatabaseError as error:
-        raise UsageError(f"{path}: damaged ({error}); move it away to start afresh, missions are not in it") from error
-
-
-def _prepared(connection: sqlite3.Connection) -> sqlite3.Connection:
-    try:
-        connection.execute("PRAGMA locking_mode = EXCLUSIVE")
-        connection.execute("PRAGMA journal_mode = WAL")
-        connection.execute("PRAGMA synchronous = FULL")
-        connection.execute("BEGIN EXCLUSIVE")  # takes the lock now: two daemons must not share a storage
-        connection.execute("COMMIT")
-        connection.executescript(_SCHEMA)
-    except BaseException:
-        connection.close()
-        raise
-    return connection
-
-
-def _is_down(error: sqlite3.OperationalError, folder: Path) -> bool:
-    """Whether it is the disk's fault, and not that of who was named as its user or of the name."""
-    if error.sqlite_errorcode & _PRIMARY in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
-        return True
-    try:
-        return bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
-    except OSError:
-        return False

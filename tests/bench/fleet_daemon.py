@@ -58,8 +58,8 @@ async def main(config_file: Path) -> None:
     config = checked_config(config_file, os.environ)
     configure_logs("error", "json")
     clock = SystemClock()
-    daemon = Daemon(config, clock=clock, reload=lambda: config, notifier=SystemdNotifier())
-    daemon.vehicle = StandIn(config, clock=clock)
+    vehicle = StandIn(config, clock=clock)
+    daemon = Daemon(config, clock=clock, reload=lambda: config, notifier=SystemdNotifier(), vehicle=vehicle)
     await daemon.run()
 
 

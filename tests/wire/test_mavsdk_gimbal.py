@@ -165,6 +165,7 @@ async def test_the_feed_delivers_what_was_sent_when_it_comes(
     gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal
 ) -> None:
     await gimbal.acquire()
+    gimbal.feed.ingest()
     latest = gimbal.feed.latest
     assert latest is not None
     newest = latest.received_s
@@ -196,6 +197,7 @@ async def test_the_pose_is_the_same_whatever_frame_it_comes_in(
     await gimbal.acquire()
 
     def pose() -> tuple[float, float, float] | None:
+        gimbal.feed.ingest()
         sample = gimbal.feed.latest
         assert sample is not None
         rotation = read_pose(sample, gimbal.feed.vehicle_attitude_at(sample), 0.0).rotation
@@ -232,6 +234,7 @@ async def test_the_gimbals_own_reports_spare_the_autopilots_copy(
         own()
         await asyncio.sleep(0.02)
         assert time.monotonic() - began < 5
+    gimbal.feed.ingest()
     latest = gimbal.feed.latest
     assert latest is not None
     assert latest.yaw_frame is YawFrame.EARTH
@@ -248,6 +251,7 @@ async def test_the_mounts_type_tells_what_its_reports_are_worth(
     async with MavsdkGimbal(gimbal_link) as gimbal:
         assert (await gimbal.discover()).feedback == feedback
         await gimbal.acquire()
+        gimbal.feed.ingest()
         latest = gimbal.feed.latest
         assert latest is not None
         sample = await gimbal.feed.newer_than(latest.received_s)
@@ -262,6 +266,7 @@ async def test_the_config_overrules_detection(gimbal_autopilot: GimbalPeer, gimb
 
 
 async def test_a_second_mount_does_not_mix_in(gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal) -> None:
+    gimbal.feed.ingest()
     before = gimbal.feed.latest
     assert before is not None
     for _ in range(20):
@@ -278,6 +283,7 @@ async def test_the_stream_comes_back_after_a_reboot_in_flight(
     await asyncio.sleep(0.2)
     gimbal_autopilot.control = (0, 0)
     gimbal_autopilot.reboot()
+    gimbal.feed.ingest()
     silent = gimbal.feed.latest
     assert silent is not None
     sample = await asyncio.wait_for(gimbal.feed.newer_than(silent.received_s + 0.3), 10)
@@ -306,6 +312,7 @@ async def test_a_daemon_that_waits_looks_only_now_and_then(gimbal_autopilot: Gim
         assert own >= 10 * 3
         # a mission has them all
         await link.use_rates(active=True)
+        gimbal.feed.ingest()
         latest = gimbal.feed.latest
         assert latest is not None
         for _ in range(30):

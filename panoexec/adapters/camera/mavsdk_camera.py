@@ -7,6 +7,7 @@ import contextlib
 import math
 import time
 from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from functools import partial
 from types import TracebackType
@@ -16,6 +17,7 @@ import structlog
 from mavsdk.plugins.camera import Camera, CameraList, Information
 
 from panoexec.adapters.camera.camera_clock import CameraClock
+from panoexec.adapters.camera.camera_kind import CameraKind, OpenCamera
 from panoexec.adapters.camera.capture_matching import Capture, CaptureMatcher
 from panoexec.adapters.camera.capture_messages import captured_report, feedback_report, file_is_there
 from panoexec.adapters.camera.photo_recall import CAPTURE_STATUS, IMAGE_CAPTURED, recall_images, recall_trigger
@@ -27,6 +29,7 @@ from panoexec.adapters.link.stream_keeper import AUTOPILOT
 from panoexec.clock import latest_s
 from panoexec.devices import EvidenceLevel, PendingCapture, Recollection
 from panoexec.errors import DeviceError
+from panoexec.inputs.config import CameraSection
 
 STORAGE_INFORMATION: Final = 261
 
@@ -37,6 +40,7 @@ _FIRST_REPORT_S: Final = 20.0
 """A camera that has not reported a photo by then does not report photos."""
 _SYNCHRONISE_S: Final = 4.0
 """A stamp of the camera's clock that is older than this (mission seconds) is asked for anew at the next photo."""
+_SILENT_S: Final = 15.0
 _BYTES_PER_PX: Final = 0.6
 """Of a fine JPEG, on the safe side: 24 megapixels give 14 MB."""
 
@@ -44,8 +48,8 @@ _log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CameraFound:
-    """What discovery found.
+class MavlinkCameraFound:
+    """What discovery found; implements `CameraFound`.
 
     Attributes:
         component: its MAVLink component; 1 to 6 are shutters of the autopilot.
@@ -66,9 +70,27 @@ class CameraFound:
         """Whether the autopilot triggers it."""
         return self.component <= 6
 
+    @property
+    def label(self) -> str:
+        """See `CameraFound.label`."""
+        name = f"{self.vendor} {self.model}".strip() or (
+            "a shutter of the autopilot" if self.by_autopilot else "unnamed"
+        )
+        return f"{name}, component {self.component}"
+
+    @property
+    def is_two_way(self) -> bool:
+        """See `CameraFound.is_two_way`; of a shutter, the autopilot answers for it."""
+        return True
+
+    @property
+    def may_tell_files(self) -> bool:
+        """See `CameraFound.may_tell_files`."""
+        return not self.by_autopilot
+
 
 class MavsdkCamera:
-    """Implements `Camera`; an async context manager on an open link.
+    """Implements `OpenCamera`; an async context manager on an open link.
 
     Photos are proven by the messages themselves: MAVSDK's `capture_info` is silent with ArduPilot, tells no boot time,
     and goes silent when a camera counts from 1 again.
@@ -94,7 +116,7 @@ class MavsdkCamera:
         self._component = component
         self._feedback_pin = feedback_pin
         self._mib_per_image = mib_per_image
-        self._found: CameraFound | None = None
+        self._found: MavlinkCameraFound | None = None
         self._listed: dict[int, Information] = {}
         self._list_changed = asyncio.Event()
         self._stamps = CameraClock()
@@ -112,7 +134,7 @@ class MavsdkCamera:
     # --- state
 
     @property
-    def found(self) -> CameraFound | None:
+    def found(self) -> MavlinkCameraFound | None:
         """What discovery found; None before."""
         return self._found
 
@@ -143,6 +165,11 @@ class MavsdkCamera:
         beat = self._link.components.get(self._found.component if self._found else 0, (0, -math.inf))[1]
         return time.monotonic() - max(beat, self._heard_s)
 
+    @property
+    def is_present(self) -> bool:
+        """See `OpenCamera.is_present`."""
+        return self._found is not None and self.age_s < _SILENT_S
+
     # --- life
 
     async def __aenter__(self) -> Self:
@@ -165,7 +192,7 @@ class MavsdkCamera:
         for off in self._off:
             off()
 
-    async def discover(self, timeout_s: float = 15.0) -> CameraFound:
+    async def discover(self, timeout_s: float = 15.0) -> MavlinkCameraFound:
         """Return when the camera is there.
 
         Args:
@@ -187,7 +214,7 @@ class MavsdkCamera:
         pin = self._feedback_pin
         if pin is None and by_autopilot and self._link.is_ardupilot:
             pin = (await self._link.requests.parameter("CAM1_FEEDBAK_PIN") or -1) > 0
-        self._found = CameraFound(
+        self._found = MavlinkCameraFound(
             component=information.component_id,
             vendor=information.vendor_name,
             model=information.model_name,
@@ -200,6 +227,13 @@ class MavsdkCamera:
                 await self._link.requests.command(REQUEST_MESSAGE, [message], component=self._target)
         _log.info("camera found", camera=self._found)
         return self._found
+
+    async def best_evidence(self) -> EvidenceLevel:
+        """See `OpenCamera.best_evidence`."""
+        found = await self.discover()
+        if not found.by_autopilot:
+            return EvidenceLevel.CAPTURE_MESSAGE
+        return EvidenceLevel.FEEDBACK_PIN if found.feedback_pin else EvidenceLevel.COUNTED
 
     async def trigger(self) -> PendingCapture:
         """See `Camera.trigger`."""
@@ -387,3 +421,12 @@ class MavsdkCamera:
             "none answers for CAMERA_INFORMATION (259); a camera on a servo or relay: set CAM1_TYPE (ArduPilot) and "
             "reboot; a MAVLink camera: is it on, and routed to us?"
         )
+
+
+def _open(section: CameraSection, link: MavsdkLink) -> AbstractAsyncContextManager[OpenCamera]:
+    return MavsdkCamera(link, component=section.component)
+
+
+KIND: Final = CameraKind(
+    open=_open, needed="a camera that answers", settings="[camera] component", set_by_autopilot=True
+)

@@ -10,25 +10,31 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Final, Literal, Protocol, Self, TypeAlias
 
 import serial
 import structlog
 
+from panoexec.adapters.camera.camera_kind import CameraKind, OpenCamera
 from panoexec.adapters.camera.capture_matching import Capture, CaptureMatcher
 from panoexec.adapters.camera.capture_messages import feedback_report
+from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.message_hub import Handler, MavMessage
 from panoexec.adapters.link.worker_calls import WorkerCalls
 from panoexec.clock import Clock
-from panoexec.devices import PendingCapture
+from panoexec.devices import EvidenceLevel, PendingCapture
 from panoexec.errors import LinkError
+from panoexec.inputs.config import CameraSection
 
 Line: TypeAlias = Literal["rts", "dtr", "bytes"]
 
 _CLOSE_S: Final = 2.0
 _WRITE_S: Final = 2.0
+_FEEDBACK_PIN: Final = "CAM1_FEEDBAK_PIN"
 
 _log = structlog.get_logger(__name__)
 
@@ -45,8 +51,24 @@ class FeedbackSource(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SerialShutterFound:
+    """What is known of a cable release; implements `CameraFound`.
+
+    Attributes:
+        label: its port and line.
+        is_two_way, may_tell_files, image_width_px, image_height_px: nothing comes back over the cable.
+    """
+
+    label: str
+    is_two_way: bool = False
+    may_tell_files: bool = False
+    image_width_px: int = 0
+    image_height_px: int = 0
+
+
 class SerialShutter:
-    """Implements `Camera`; an async context manager. The port heals: after a failure it is opened anew."""
+    """Implements `OpenCamera`; an async context manager. The port heals: after a failure it is opened anew."""
 
     def __init__(
         self,
@@ -60,6 +82,7 @@ class SerialShutter:
         baud: int = 9600,
         feedback: FeedbackSource | None = None,
         feedback_pin: bool = True,
+        is_wired: Callable[[], Awaitable[bool]] | None = None,
     ) -> None:
         """Describe it; entering the context opens the port.
 
@@ -74,6 +97,7 @@ class SerialShutter:
             baud: bits a second, for bytes.
             feedback: where CAMERA_FEEDBACK comes from, if the hot-shoe is wired to the autopilot.
             feedback_pin: whether CAMERA_FEEDBACK means the pin's signal.
+            is_wired: asks the autopilot whether a hot-shoe is wired to it; None if it cannot be asked.
         """
         self._port = port
         self._clock = clock
@@ -84,6 +108,7 @@ class SerialShutter:
         self._baud = baud
         self._feedback = feedback
         self._feedback_pin = feedback_pin
+        self._is_wired = is_wired
         self._serial: serial.Serial | None = None
         self._calls = WorkerCalls("serial shutter", threads=1)
         self._ledger = CaptureMatcher()
@@ -93,6 +118,16 @@ class SerialShutter:
     @property
     def storage_free_images(self) -> float:
         """A cable does not say."""
+        return math.inf
+
+    @property
+    def is_present(self) -> bool:
+        """See `OpenCamera.is_present`; an open port is all that can be seen of a cable."""
+        return True
+
+    @property
+    def age_s(self) -> float:
+        """See `OpenCamera.age_s`."""
         return math.inf
 
     async def __aenter__(self) -> Self:
@@ -120,6 +155,15 @@ class SerialShutter:
             async with asyncio.timeout(_CLOSE_S + self._pulse_s):
                 await self._calls.run(self._close)
         self._calls.stop()
+
+    async def discover(self, timeout_s: float = 15.0) -> SerialShutterFound:  # noqa: ARG002  (nothing to wait for)
+        """See `OpenCamera.discover`; an open port is all that there is to find."""
+        return SerialShutterFound(label=f"a cable release on {self._port} ({self._line})")
+
+    async def best_evidence(self) -> EvidenceLevel:
+        """See `OpenCamera.best_evidence`."""
+        wired = self._is_wired is not None and await self._is_wired()
+        return EvidenceLevel.FEEDBACK_PIN if wired else EvidenceLevel.COMMANDED
 
     async def trigger(self) -> PendingCapture:
         """See `Camera.trigger`; returns when the contact is closed or the bytes are sent.
@@ -223,3 +267,22 @@ def _log_failure(pulse: asyncio.Future[None]) -> None:
 def _reason(error: Exception) -> str:
     strerror = getattr(error, "strerror", None)
     return str(strerror or error)
+
+
+def _open(section: CameraSection, link: MavsdkLink) -> AbstractAsyncContextManager[OpenCamera]:
+    async def is_wired() -> bool:
+        return link.is_ardupilot and (await link.requests.parameter(_FEEDBACK_PIN) or -1) > 0
+
+    assert section.serial_port is not None
+    return SerialShutter(
+        section.serial_port,
+        clock=link.clock,
+        line=section.serial_line,
+        payload=(section.serial_bytes or "").encode(),
+        pulse_s=section.pulse_s,
+        feedback=link,
+        is_wired=is_wired,
+    )
+
+
+KIND: Final = CameraKind(open=_open, settings="[camera] serial_port; systemd/serial.conf for the service")

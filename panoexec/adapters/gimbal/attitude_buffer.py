@@ -29,15 +29,15 @@ class AttitudeBuffer:
     "vehicle frame", rates and failures dropped); so reports of the gimbal itself are preferred to the autopilot's.
     """
 
-    def __init__(self, *, autopilot_component: int = 1, catch_up: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, *, autopilot_component: int = 1, ingest: Callable[[], None] = lambda: None) -> None:
         """Describe it.
 
         Args:
             autopilot_component: MAVLink's number of it.
-            catch_up: called before each look; puts in what has come.
+            ingest: puts in the reports that have arrived.
         """
         self._autopilot_component = autopilot_component
-        self._catch_up = catch_up
+        self._ingest = ingest
         self._samples: deque[AttitudeSample] = deque()
         self._vehicle: deque[VehicleAttitude] = deque()
         self._source: int | None = None
@@ -70,18 +70,20 @@ class AttitudeBuffer:
 
     def rebooted(self) -> None:
         """Forget the airframe's attitudes, whose time stamps mean nothing after a reboot."""
-        self._catch_up()
+        self._ingest()
         self._vehicle.clear()
+
+    def ingest(self) -> None:
+        """See `AttitudeFeed.ingest`."""
+        self._ingest()
 
     @property
     def latest(self) -> AttitudeSample | None:
         """See `AttitudeFeed.latest`."""
-        self._catch_up()
         return self._samples[-1] if self._samples else None
 
     def since(self, received_s: float) -> Sequence[AttitudeSample]:
         """See `AttitudeFeed.since`."""
-        self._catch_up()
         out: list[AttitudeSample] = []
         for sample in reversed(self._samples):
             if sample.received_s <= received_s:
@@ -97,6 +99,7 @@ class AttitudeBuffer:
             waiter = loop.create_future()
             self._waiters.append(waiter)
             try:
+                self.ingest()  # after it was said that somebody waits: what comes from now on wakes the waiter
                 found = self.since(received_s)
                 if found:
                     return found[0]
@@ -109,7 +112,6 @@ class AttitudeBuffer:
 
         Paired by the senders' boot time when the autopilot stamped both, else by arrival (a gimbal has its own clock).
         """
-        self._catch_up()
         if self._source == self._autopilot_component and math.isfinite(sample.vehicle_s):
             return _nearest(self._vehicle, sample.vehicle_s, lambda attitude: attitude.vehicle_s)
         return _nearest(self._vehicle, sample.received_s, lambda attitude: attitude.received_s)

@@ -6,11 +6,11 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from types import TracebackType
-from typing import Final, Literal, Self, TypeAlias
+from typing import Any, Final, Literal, Self, TypeAlias
 
 import structlog
 from mavsdk.plugins.gimbal import ControlMode, ControlStatus, Gimbal, GimbalItem, GimbalList, GimbalMode, SendMode
@@ -97,7 +97,7 @@ class MavsdkGimbal:
         self._feedback_wanted = feedback
         self._frame = _FRAMES.get(feedback) if feedback else None
         self._reports = MessageBatcher(self._report, post=link.post, eager=lambda: self._buffer.is_awaited)
-        self._buffer = AttitudeBuffer(autopilot_component=AUTOPILOT, catch_up=self._reports.empty)
+        self._buffer = AttitudeBuffer(autopilot_component=AUTOPILOT, ingest=self._reports.ingest)
         self._heading = HeadingFilter()
         self._stamps: dict[tuple[int, str], StampDejitter] = {}
         self._stated = YawFrame.VEHICLE
@@ -141,9 +141,9 @@ class MavsdkGimbal:
 
     @property
     def age_s(self) -> float:
-        """Real seconds since the last attitude report; infinity before the first."""
-        self._reports.empty()
-        return time.monotonic() - self._sample_s
+        """Real seconds since the last attitude report arrived, ingested or not; infinity before the first."""
+        pending = (message.heard_s for message in reversed(self._reports.pending) if self._is_own_report(message))
+        return time.monotonic() - next(pending, self._sample_s)
 
     # --- life
 
@@ -266,9 +266,8 @@ class MavsdkGimbal:
 
     def _attitude(self, message: MavMessage) -> None:
         fields = message.fields
-        device = int(fields.get("gimbal_device_id") or 0)
-        if self._found is not None and device not in (0, self._found.device_id):
-            return  # a second mount of the vehicle
+        if not self._is_own_device(fields):
+            return
         self._sample_s = message.heard_s
         sent_s = self._sent_s(message)
         heading_deg = math.nan
@@ -281,6 +280,16 @@ class MavsdkGimbal:
         if taken and source != self._source:
             self._source = source
             self._source_changed(*source)
+
+    def _is_own_device(self, fields: Mapping[str, Any]) -> bool:
+        """Whether a report is not of a second mount of the vehicle."""
+        return self._found is None or int(fields.get("gimbal_device_id") or 0) in (0, self._found.device_id)
+
+    def _is_own_report(self, message: MavMessage) -> bool:
+        try:
+            return message.name == "GIMBAL_DEVICE_ATTITUDE_STATUS" and self._is_own_device(message.fields)
+        except (TypeError, ValueError):
+            return False
 
     def _airframe(self, message: MavMessage) -> None:
         if message.component_id == AUTOPILOT:

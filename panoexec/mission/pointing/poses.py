@@ -159,7 +159,8 @@ class PoseReader:
         return self._pairs >= self.LEARN_PAIRS and self._repeats <= self.REPEATS_FRAC * self._pairs
 
     def since(self, since_s: float) -> list[Reading]:
-        """Readings of all samples that arrived after `since_s`, oldest first."""
+        """Readings of all samples that arrived after `since_s`, oldest first; ingests what has arrived."""
+        self._feed.ingest()
         self._read_on(since_s)
         newer = []
         for reading in reversed(self._readings):

@@ -14,14 +14,14 @@ from typing import Any
 import pytest
 
 from panoexec.clock import SystemClock
-from panoexec.daemon.commands import MAX_UNDER_WAY, Commands
+from panoexec.daemon.commands import Commands
 from panoexec.daemon.missions import Missions
 from panoexec.daemon.vehicle_link import VehicleLink
 from panoexec.errors import DeviceError
 from panoexec.inputs.config import Config
 from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.requests import parse_request
-from panoexec.mqtt.transactions import Transactions
+from panoexec.mqtt.transactions import MAX_UNDER_WAY, Transactions
 from tests.wire.broker import eventually
 
 

@@ -7,9 +7,11 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from structlog.testing import capture_logs
 
-from panoexec.daemon.storage import storage_trouble
+from panoexec.daemon.storage import StorageMonitor, storage_trouble
 from panoexec.inputs.config import StorageSection
+from panoexec.mqtt.transactions import Transactions
 
 
 @pytest.mark.parametrize(
@@ -31,3 +33,29 @@ def test_a_folder_that_is_not_there_yet_or_is_none(tmp_path: Path) -> None:
     assert storage_trouble(StorageSection(path=tmp_path / "later")) == ""
     (tmp_path / "file").write_text("")
     assert "cannot be used" in storage_trouble(StorageSection(path=tmp_path / "file" / "below"))
+
+
+async def test_trouble_and_recovery_are_logged_and_the_storage_is_announced_as_readable_once(tmp_path: Path) -> None:
+    section = StorageSection(path=tmp_path, min_free_mb=1e12)
+    changes, readable = [], []
+
+    async def on_readable() -> None:
+        readable.append(monitor.trouble)
+
+    transactions = await Transactions.open(tmp_path / "transactions.sqlite", boot_id="boot")
+    monitor = StorageMonitor(
+        section=lambda: section,
+        transactions=transactions,
+        changed=lambda: changes.append(monitor.trouble),
+        on_readable=on_readable,
+    )
+    with capture_logs() as logs:
+        await monitor.check()
+        await monitor.check()
+        section = StorageSection(path=tmp_path, min_free_mb=0)
+        await monitor.check()
+    await transactions.close()
+    assert [log["event"] for log in logs] == ["storage cannot be used", "storage recovered"]
+    assert "min_free_mb asks for" in logs[0]["trouble"]
+    assert changes == [logs[0]["trouble"], ""]
+    assert len(readable) == 1, "a full disk can be read all the same"

@@ -78,6 +78,9 @@ class FakeFeed:
         arrived, self._arrived = self._arrived, asyncio.Event()
         arrived.set()
 
+    def ingest(self) -> None:
+        """Samples are pushed: nothing waits to be ingested."""
+
     @property
     def latest(self) -> AttitudeSample | None:
         return self._samples[-1] if self._samples else None

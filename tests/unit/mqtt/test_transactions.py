@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import errno
+import json
 import sqlite3
 from pathlib import Path
 
 import pytest
 
 from panoexec.errors import UsageError
-from panoexec.mqtt import transactions
+from panoexec.mqtt import transaction_file
+from panoexec.mqtt.messages import Response, ok
 from panoexec.mqtt.outbox import Outbox, Outgoing, Suspicion
 from panoexec.mqtt.requests import RefusedRequestError, Request, parse_request
-from panoexec.mqtt.transactions import StorageDownError, Transactions
+from panoexec.mqtt.transaction_file import StorageDownError
+from panoexec.mqtt.transactions import Transactions
 
 
 def a_request(transaction: object = '"a"', command: str = "pause", more: str = "") -> Request:
@@ -21,17 +24,17 @@ def a_request(transaction: object = '"a"', command: str = "pause", more: str = "
 
 async def test_acts_once_across_restarts(tmp_path: Path) -> None:
     store = await Transactions.open(tmp_path / "t.sqlite", boot_id="first")
-    assert (await store.note(a_request())).standing == "new"
-    assert (await store.note(a_request())).standing == "under way"
+    assert (await store.note(a_request())).status == "new"
+    assert (await store.note(a_request())).status == "under way"
     await store.answered(a_request(), '{"status": "ok"}')
-    assert (await store.note(a_request('"b"'))).standing == "new"
+    assert (await store.note(a_request('"b"'))).status == "new"
     await store.close()
     store = await Transactions.open(tmp_path / "t.sqlite", boot_id="second")
     noted = await store.note(a_request())
-    assert (noted.standing, noted.response) == ("answered", '{"status": "ok"}')
-    assert (await store.note(a_request('"b"'))).standing == "interrupted", "nobody knows whether it acted"
-    assert (await store.note(a_request("1"))).standing == "new"
-    assert (await store.note(a_request('"1"'))).standing == "new", "the text 1 is not the number 1"
+    assert (noted.status, noted.response) == ("answered", '{"status": "ok"}')
+    assert (await store.note(a_request('"b"'))).status == "interrupted", "nobody knows whether it acted"
+    assert (await store.note(a_request("1"))).status == "new"
+    assert (await store.note(a_request('"1"'))).status == "new", "the text 1 is not the number 1"
     await store.close()
 
 
@@ -45,14 +48,51 @@ async def test_one_transaction_is_one_request(tmp_path: Path) -> None:
     await store.close()
 
 
+async def test_a_repeat_gets_the_answer_of_the_one_under_way_and_acts_once(tmp_path: Path) -> None:
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="b")
+    answers: list[bytes] = []
+    acted: list[str] = []
+
+    async def obey() -> Response:
+        acted.append("once")
+        return ok("a", {"shot": 7})
+
+    assert store.enter(a_request(), answers.append)
+    assert not store.enter(a_request(), answers.append)
+    with pytest.raises(RefusedRequestError) as caught:
+        store.enter(a_request(command="abort"), answers.append)
+    assert (caught.value.code, caught.value.field, caught.value.transaction) == ("conflict", "transaction", "a")
+    await store.serve(a_request(), obey)
+    assert store.enter(a_request(), answers.append), "it is not under way any more"
+    await store.serve(a_request(), obey)
+    assert [json.loads(answer)["data"] for answer in answers] == 3 * [{"shot": 7}]
+    assert acted == ["once"]
+    await store.close()
+
+
+async def test_a_request_that_only_reads_is_not_kept_on_disk(tmp_path: Path) -> None:
+    answers: list[bytes] = []
+
+    async def obey() -> Response:
+        return ok("a", {"boot": boot})
+
+    for boot in ("first", "second"):
+        store = await Transactions.open(tmp_path / "t.sqlite", boot_id=boot)
+        for _ in range(2):
+            assert store.enter(a_request(command="get"), answers.append)
+            await store.serve(a_request(command="get"), obey)
+        await store.close()
+    assert [json.loads(answer)["data"]["boot"] for answer in answers] == ["first", "first", "second", "second"]
+
+
 async def test_forgets_the_oldest_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("panoexec.mqtt.transactions.KEPT", 3)
     store = await Transactions.open(tmp_path / "t.sqlite", boot_id="b")
     for number in range(5):
         await store.note(a_request(number))
         await store.answered(a_request(number), str(number))
-    standings = [(await store.note(a_request(number))).standing for number in range(5)]
-    assert standings == ["new", "new", "answered", "answered", "answered"]
+    statuses = [(await store.note(a_request(number))).status for number in range(5)]
+    assert statuses == ["new", "new", "answered", "answered", "answered"]
     await store.close()
 
 
@@ -91,7 +131,7 @@ async def test_a_disk_that_is_full_may_be_well_again(tmp_path: Path, monkeypatch
         raise error
 
     with monkeypatch.context() as patch:
-        patch.setattr(transactions, "_prepared", full)
+        patch.setattr(transaction_file, "_prepared", full)
         with pytest.raises(StorageDownError, match=r"cannot be written \(database or disk is full\); make room"):
             await Transactions.open(tmp_path / "t.sqlite", boot_id="b")
         store = await Transactions.open(tmp_path / "t.sqlite", boot_id="b", patient=True)
@@ -99,7 +139,7 @@ async def test_a_disk_that_is_full_may_be_well_again(tmp_path: Path, monkeypatch
         with pytest.raises(RefusedRequestError, match="nothing was done") as refused:
             await store.note(a_request())
         assert refused.value.code == "storage"
-    assert (await store.note(a_request())).standing == "new"
+    assert (await store.note(a_request())).status == "new"
     assert await store.opened() == ""
     await store.close()
 

@@ -100,16 +100,23 @@ async def test_a_waiter_may_give_up() -> None:
     assert not buffer.is_awaited
 
 
-def test_each_look_catches_up_first() -> None:
+async def test_a_getter_only_gets_and_a_wait_ingests() -> None:
     coming = [sample(1.0), sample(2.0)]
 
-    def catch_up() -> None:
+    def put_in() -> None:
         while coming:
             buffer.put_sample(coming.pop(0), AUTOPILOT)
 
-    buffer = AttitudeBuffer(catch_up=catch_up)
+    buffer = AttitudeBuffer(ingest=put_in)
+    assert buffer.latest is None
+    assert buffer.since(0.0) == []
+    assert buffer.vehicle_attitude_at(sample(1.0)) is None
+    assert len(coming) == 2
+    buffer.ingest()
     assert buffer.latest == sample(2.0)
     coming.append(sample(3.0))
+    assert [s.received_s for s in buffer.since(1.0)] == [2.0]
+    assert await buffer.newer_than(2.0) == sample(3.0)
     assert [s.received_s for s in buffer.since(1.0)] == [2.0, 3.0]
 
 

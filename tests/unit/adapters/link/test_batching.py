@@ -23,7 +23,7 @@ def test_messages_gather_until_somebody_looks_or_they_have_waited_for_long() -> 
     for number in range(40):
         inbox.put(message(number, later_s=-10.0))
     assert (taken, posted) == ([], [])
-    inbox.empty()
+    inbox.ingest()
     assert numbers(taken) == list(range(40))
     taken.clear()
     for number in range(40):
@@ -31,7 +31,7 @@ def test_messages_gather_until_somebody_looks_or_they_have_waited_for_long() -> 
     assert len(posted) == 1  # one wake-up for all of them
     posted.pop()()
     assert numbers(taken) == list(range(40))
-    inbox.empty()
+    inbox.ingest()
     assert len(taken) == 40
 
 
@@ -75,7 +75,7 @@ async def test_nothing_is_lost_or_overtaken_in_a_storm_from_another_thread() -> 
         while len(taken) < count:
             waiting = True  # said before the look, as the thread looks for it after putting
             came.clear()
-            inbox.empty()
+            inbox.ingest()
             if len(taken) < count:
                 await came.wait()
             waiting = False
