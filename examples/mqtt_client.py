@@ -21,6 +21,7 @@ async def fly(broker: str = "127.0.0.1", vehicle: str = "drone", port: str = "18
     """Fly `PANORAMA` and return the mission's last state, or the error code of the request that was refused."""
     base = f"panoexec/{vehicle}"
     asked: dict[str, str] = {}  # command by transaction
+    started = False
     async with aiomqtt.Client(broker, int(port)) as client:
 
         async def request(command: str, **fields: Any) -> None:
@@ -28,9 +29,14 @@ async def fly(broker: str = "127.0.0.1", vehicle: str = "drone", port: str = "18
             payload = json.dumps({"transaction": transaction, **fields})
             await client.publish(f"{base}/request/{command}", payload, qos=1)
 
-        await client.subscribe([(f"{base}/response/+", 1), (f"{base}/event", 1)])
-        await request("plan", **PANORAMA)
+        await client.subscribe([(f"{base}/{topic}", 1) for topic in ("status", "response/+", "event")])
+        print(f"waiting for {base}/status")
         async for message in client.messages:
+            if message.topic.matches(f"{base}/status"):
+                if message.payload == b"online" and not started:
+                    started = True
+                    await request("plan", **PANORAMA)
+                continue
             said = json.loads(bytes(message.payload))
             if message.topic.matches(f"{base}/event"):
                 print(said["time"], said["type"], said.get("shot", ""), said.get("reason", ""))

@@ -66,6 +66,7 @@ class Vehicle:
 async def vehicle(port: int, *, ready: bool) -> AsyncIterator[Vehicle]:
     async with aiomqtt.Client("127.0.0.1", port) as client:
         await client.subscribe(Topics("panoexec", "drone").requests, qos=1)
+        await client.publish(Topics("panoexec", "drone").status, b"online", qos=1, retain=True)
         made = Vehicle(client, ready=ready)
         task = asyncio.create_task(made.run(), name="vehicle")
         try:
@@ -81,8 +82,8 @@ async def test_it_flies_a_mission_and_prints_its_events(tmp_path: Path, capsys: 
             assert await the_client().fly("127.0.0.1", "drone", str(broker.port)) == "complete"
     assert asked.commands == ["plan", "start"]
     lines = capsys.readouterr().out.splitlines()
-    assert lines[:2] == ["14 images, 28 s", f"mission {MISSION}"]
-    assert [line.split()[1] for line in lines[2:]] == ["shot_accepted", "mission_finished"]
+    assert lines[:3] == ["waiting for panoexec/drone/status", "14 images, 28 s", f"mission {MISSION}"]
+    assert [line.split()[1] for line in lines[3:]] == ["shot_accepted", "mission_finished"]
 
 
 async def test_it_tells_why_a_request_was_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
