@@ -1,8 +1,8 @@
 """The tree of errors that panoexec raises on purpose.
 
-Each carries the exit code that the command line ends with when nobody handled it (CONTRACT: 2 wrong usage, config or
-input file; 3 device or link failure; 1 the result falls short). Messages are one line, for a pilot: what was found,
-where, and what would be accepted.
+Each carries the exit code that the command line ends with when nobody handled it (docs/contract.md: 1 the result falls
+short; 2 wrong usage, config or input file; 3 device or link failure). Messages are one line, for a pilot: what was
+found, where, and what would be accepted.
 """
 
 from __future__ import annotations

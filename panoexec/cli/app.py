@@ -64,7 +64,7 @@ def run(argv: Sequence[str]) -> int:
         argv: arguments without the program's name.
 
     Returns:
-        The exit code of the contract.
+        The exit code (docs/contract.md).
     """
     try:
         return _dispatch(list(argv))

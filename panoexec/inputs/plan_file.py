@@ -1,4 +1,4 @@
-"""The plan file of the contract, `"format": "panoexec.plan/1"`: read with every problem told, written whole.
+"""The plan file (docs/contract.md), `"format": "panoexec.plan/1"`: read with every problem told, written whole.
 
 A foreign file needs no more than `shots[].pitch_deg` and `yaw_deg`; what it leaves out (camera, constraints, rows) is
 given by the caller or derived. Unknown keys are ignored, so that others may add their own.
@@ -251,7 +251,7 @@ def plan_from_data(data: object, *, source: str) -> PlanFile:
 
 
 def plan_to_data(plan: Plan) -> dict[str, Any]:
-    """The plan as the JSON document of the contract."""
+    """The plan as the JSON document of a plan file."""
     camera, constraints = plan.camera, plan.constraints
     band = constraints.band
     return {

@@ -1,4 +1,4 @@
-"""What the vehicle says over MQTT (CONTRACT: MQTT): answers and the state, as models and as bytes.
+"""What the vehicle says over MQTT (docs/contract.md): answers and the state, as models and as bytes.
 
 `asyncapi.yaml` is generated from these models and from those of the requests (`panoexec.mqtt.requests`).
 """

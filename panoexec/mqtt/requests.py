@@ -1,4 +1,4 @@
-"""Requests, read from bytes that a stranger may have sent (CONTRACT: MQTT).
+"""Requests, read from bytes that a stranger may have sent (docs/contract.md).
 
 They are read strictly: an unknown key, a text where a number belongs or a number that is not finite is an error that
 names its field.

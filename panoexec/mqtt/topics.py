@@ -1,4 +1,4 @@
-"""The topics of one vehicle (CONTRACT: MQTT), and where somebody may have an answer sent."""
+"""The topics of one vehicle (docs/contract.md), and where somebody may have an answer sent."""
 
 from __future__ import annotations
 

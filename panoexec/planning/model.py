@@ -129,7 +129,7 @@ class Timing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Constraints:
-    """What a plan must satisfy (CONTRACT: C1 to C4).
+    """What a plan must satisfy (docs/contract.md: C1 to C4).
 
     Attributes:
         overlap_h: least overlap of neighbours in a row, fraction of the image area, [0, 1).
@@ -178,7 +178,7 @@ class Hole:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Certificate:
-    """The verdict on a plan (CONTRACT: certified means C1 to C4), and where it fails.
+    """The verdict on a plan (docs/contract.md: certified means C1 to C4), and where it fails.
 
     Overlaps are the least found, at the planned poses; `worst_*` are their lower bounds over all combinations of errors
     within the tolerance. `None` where there is nothing to overlap (a single image, a single row).

@@ -21,7 +21,7 @@ from panoexec.sim.options import add_arguments, config_of
 
 
 def main(argv: list[str]) -> int:
-    """Run the simulation; the exit code of the contract."""
+    """Run the simulation; an exit code of docs/contract.md."""
     tied = argv[:1] == ["--config-from-stdin"]
     try:
         config = settings.from_json(json.loads(_first_line())) if tied else _from_options(argv)

@@ -1,4 +1,4 @@
-"""Every command of the contract, by MQTT to the daemon as a process, over MQTT 5 and 3.1.1."""
+"""Every command of docs/contract.md, by MQTT to the daemon as a process, over MQTT 5 and 3.1.1."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from panoexec.errors import MissionError
 
 
 class MissionState(StrEnum):
-    """Where a mission is (CONTRACT: mission states)."""
+    """Where a mission is (docs/contract.md, docs/mission.md)."""
 
     IDLE = "idle"
     """Nothing has begun in this process."""

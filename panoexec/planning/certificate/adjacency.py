@@ -5,7 +5,7 @@ that some combination of errors makes has these edges and perhaps more; more edg
 another edge a bridge. So what holds for this graph holds for all of them.
 
 **Small plans.** A single image has no edge to lose: connected, and stays so. Two images have one edge, whose loss
-disconnects them: by the contract's words they are not certified, nor is a chain of images that overlap their
+disconnects them: by C4 (docs/contract.md) they are not certified, nor is a chain of images that overlap their
 immediate neighbours alone, as in a single row of a sector. Three images that all overlap are the least that is.
 """
 

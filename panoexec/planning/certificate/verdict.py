@@ -1,4 +1,4 @@
-"""The verdict on a plan: certified means C1 to C4 of the contract, for every pointing error within the tolerance.
+"""The verdict on a plan: certified means C1 to C4 of docs/contract.md, for every pointing error.
 
 * **C1, coverage.** Every direction of the band, less its masks, is in an image whatever the errors of all images:
   `robust_footprint` and `coverage` hold the proof, `holes` says where it fails.

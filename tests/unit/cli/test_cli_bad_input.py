@@ -1,4 +1,4 @@
-"""What goes wrong at the command line: one clear line on stderr, the contract's exit code, nothing half-written."""
+"""What goes wrong at the command line: one clear line on stderr, the documented exit code, nothing half-written."""
 
 import json
 import os
