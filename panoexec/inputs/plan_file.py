@@ -193,13 +193,22 @@ class PlanFile:
         Raises:
             UsageError: neither the caller nor the file names the camera or the constraints.
         """
-        use_camera = camera or self.camera
+        use_camera = self.camera_for(camera)
         use_constraints = constraints or self.constraints
-        if use_camera is None:
-            raise UsageError(f"{self.source} names no camera: give --camera NAME or FILE.toml")
         if use_constraints is None:
             raise UsageError(f"{self.source} has no constraints: give --overlap and --elevation MIN MAX")
         return Plan(method=self.method, camera=use_camera, constraints=use_constraints, shots=self.shots)
+
+    def camera_for(self, camera: Camera | None) -> Camera:
+        """The camera given, else that of the file.
+
+        Raises:
+            UsageError: neither the caller nor the file names one.
+        """
+        use_camera = camera or self.camera
+        if use_camera is None:
+            raise UsageError(f"{self.source} names no camera: give --camera NAME or FILE.toml")
+        return use_camera
 
 
 def read_plan_file(path: Path) -> PlanFile:
