@@ -9,7 +9,8 @@ from dataclasses import replace
 from panoexec.errors import UsageError
 from panoexec.inputs.camera_profiles import CameraProfile, load_profile
 from panoexec.inputs.plan_file import PlanFile
-from panoexec.inputs.plan_spec import PlanOptions, PlanSpec
+from panoexec.inputs.plan_options import PlanOptions
+from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.planning.make_plan import METHODS
 from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Timing, Tolerance, Turning
 from panoexec.planning.order.shot_order import ORDERS

@@ -12,7 +12,8 @@ from panoexec.errors import InputFileError, UsageError
 from panoexec.inputs.camera_profiles import CameraProfile, configured_profile, load_profile, profile_from_mapping
 from panoexec.inputs.config import Config
 from panoexec.inputs.plan_file import plan_from_data
-from panoexec.inputs.plan_spec import PlanSpec, configured_spec
+from panoexec.inputs.plan_options import configured_spec
+from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.mission.settings import GuardSettings, MissionSettings
 from panoexec.mqtt.credentials import credential_problems
 from panoexec.mqtt.requests import PlanRequest, RefusedRequestError

@@ -13,7 +13,7 @@ from panoexec.doctor.findings import Findings
 from panoexec.errors import DeviceError, PanoexecError
 from panoexec.inputs.camera_profiles import configured_profile
 from panoexec.inputs.config import Config
-from panoexec.inputs.plan_spec import configured_gimbal, configured_spec
+from panoexec.inputs.plan_options import configured_gimbal, configured_spec
 from panoexec.mission.preflight import attitude_problems, limit_problems, limits_that_hold
 from panoexec.planning.model import GimbalLimits
 

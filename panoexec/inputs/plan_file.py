@@ -17,7 +17,7 @@ from pydantic import Field, Strict, ValidationError, field_validator, model_vali
 from panoexec.angles import wrap_180
 from panoexec.errors import InputFileError, UsageError
 from panoexec.files import write_atomically
-from panoexec.inputs.plan_constraints import (
+from panoexec.inputs.plan_options import (
     ConstraintsModel,
     Degrees,
     Elevation,

@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias, cast
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, field_validator, model_validator
 
 from panoexec.errors import PanoexecError
-from panoexec.inputs.plan_spec import PlanOptions
+from panoexec.inputs.plan_options import PlanOptions
 from panoexec.inputs.validation import dotted, problem_lines
 
 MAX_PAYLOAD = 64 * 1024

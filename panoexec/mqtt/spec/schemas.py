@@ -8,8 +8,8 @@ import typing
 from enum import Enum, IntEnum
 from typing import Any, Final
 
-from panoexec.inputs.plan_constraints import constraints_schema
 from panoexec.inputs.plan_file import FORMAT
+from panoexec.inputs.plan_options import constraints_schema
 from panoexec.planning.model import Certificate, Estimate, Shot
 
 _NUMBER: Final = {"type": "number"}

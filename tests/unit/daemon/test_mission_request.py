@@ -10,7 +10,7 @@ from panoexec.daemon.mission_request import configuration_problems, settings_of,
 from panoexec.inputs.camera_profiles import load_profile
 from panoexec.inputs.config import Config
 from panoexec.inputs.plan_file import plan_to_data
-from panoexec.inputs.plan_spec import configured_gimbal
+from panoexec.inputs.plan_options import configured_gimbal
 from panoexec.mission.preflight import limits_that_hold
 from panoexec.mqtt.requests import PlanRequest, RefusedRequestError
 from panoexec.planning.baselines.published import published_plan
