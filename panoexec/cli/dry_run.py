@@ -29,22 +29,18 @@ from panoexec.cli.planning_options import (
     add_constraint_arguments,
     add_gimbal_arguments,
     add_method_arguments,
-    constraints_of,
-    plan_for,
     profile_of,
-    timing_of,
+    spec_of,
 )
 from panoexec.dryrun.autopilot import sitl_binary
 from panoexec.dryrun.run import DryRunOptions, DryRunSummary, resume_dry_run, run_dry_run
 from panoexec.errors import DependencyError, UsageError, to_install
-from panoexec.inputs.camera_profiles import CameraProfile
 from panoexec.inputs.plan_file import read_plan_file
+from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.logs import configure_logs
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.settings import MissionSettings
-from panoexec.planning.make_plan import finished
-from panoexec.planning.model import GimbalLimits, Plan
-from panoexec.planning.request import check_request
+from panoexec.planning.model import GimbalLimits
 from panoexec.sim.config import SimConfig
 from panoexec.sim.options import add_vehicle_arguments, camera_of, config_of
 from panoexec.sim.photos.scene import load_scene
@@ -142,14 +138,14 @@ async def _until_done(flight: Callable[[], Coroutine[Any, Any, DryRunSummary]]) 
 
 
 def _options(args: argparse.Namespace) -> DryRunOptions:
-    plan, profile = _plan_and_profile(args)
+    spec = _spec(args)
+    plan = spec.plan()
     if plan.certificate is not None and not plan.certificate.certified:
         note("note: the plan is not certified: " + "; ".join(plan.certificate.failures))
-    timing = timing_of(profile)
     settings = MissionSettings(
         tolerance=plan.constraints.tolerance,
-        exposure_s=timing.exposure_s,
-        interval_s=timing.interval_s,
+        exposure_s=spec.timing.exposure_s,
+        interval_s=spec.timing.interval_s,
         accept=args.accept,
         max_pause_s=_MAX_PAUSE_S,
         gimbal=plan.constraints.gimbal or GimbalLimits(),
@@ -179,17 +175,11 @@ def _simulated_pan(args: argparse.Namespace) -> list[str]:
     return ["gimbal.yaw_endless=false", f"gimbal.yaw.min_deg={pan[0]:g}", f"gimbal.yaw.max_deg={pan[1]:g}"]
 
 
-def _plan_and_profile(args: argparse.Namespace) -> tuple[Plan, CameraProfile | None]:
+def _spec(args: argparse.Namespace) -> PlanSpec:
     file = read_plan_file(args.plan) if args.plan else None
     if args.camera is None and (file is None or file.camera is None):
         args.camera = DEFAULT_CAMERA
-    profile = profile_of(args) if args.camera else None
-    if file is None:
-        assert profile is not None
-        return plan_for(args, profile.camera, constraints_of(args), timing_of(profile)), profile
-    plan = file.plan(camera=profile.camera if profile else None, constraints=constraints_of(args, file.constraints))
-    check_request(plan.camera, plan.constraints)
-    return finished(plan, timing_of(profile)), profile
+    return spec_of(args, profile=profile_of(args) if args.camera else None, file=file)
 
 
 def _check_storage(path: Path) -> None:

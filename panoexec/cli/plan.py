@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from panoexec.cli.output import minutes, note, percent, print_facts, print_json, print_table
@@ -20,12 +21,10 @@ from panoexec.cli.planning_options import (
     add_constraint_arguments,
     add_gimbal_arguments,
     add_method_arguments,
-    constraints_of,
     count,
-    plan_for,
     positive,
     profile_of,
-    timing_of,
+    spec_of,
 )
 from panoexec.errors import UsageError
 from panoexec.exports import FORMATS, export_plan
@@ -72,9 +71,9 @@ def run(args: argparse.Namespace) -> int:
     if args.plot:
         check_plot_path(args.plot)
     profile = profile_of(args)
-    constraints, timing = constraints_of(args), timing_of(profile)
-    plan = plan_for(args, profile.camera, constraints, timing)
-    _check_budget(args, plan, lambda changed: plan_for(args, profile.camera, changed, timing))
+    spec = spec_of(args, profile=profile)
+    plan = spec.plan()
+    _check_budget(args, plan, lambda changed: replace(spec, constraints=changed).plan())
     if args.output:
         write_plan(args.output, plan)
     if args.plot:

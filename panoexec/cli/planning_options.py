@@ -8,9 +8,11 @@ from dataclasses import replace
 
 from panoexec.errors import UsageError
 from panoexec.inputs.camera_profiles import CameraProfile, load_profile
-from panoexec.optics import Camera
-from panoexec.planning.make_plan import METHODS, make_plan
-from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Plan, Timing, Tolerance, Turning
+from panoexec.inputs.plan_file import PlanFile
+from panoexec.inputs.plan_options import PlanOptions
+from panoexec.inputs.plan_spec import PlanSpec
+from panoexec.planning.make_plan import METHODS
+from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Timing, Tolerance, Turning
 from panoexec.planning.order.shot_order import ORDERS
 
 DEFAULT_CAMERA = "dji-x5s-15mm"
@@ -134,10 +136,10 @@ def add_gimbal_arguments(parser: argparse.ArgumentParser) -> None:
 def add_method_arguments(parser: argparse.ArgumentParser) -> None:
     """How the plan is made."""
     group = parser.add_argument_group("method")
-    group.add_argument("--method", choices=METHODS, default="certified", help="planner (certified)")
+    group.add_argument("--method", choices=METHODS, help="planner (certified)")
     group.add_argument("--columns", type=count, metavar="N", help="for hdrpano: images at the horizon")
     group.add_argument("--rows", type=count, metavar="N", help="for hdrpano: rows")
-    group.add_argument("--order", choices=ORDERS, default="fastest", help="order of shooting (fastest)")
+    group.add_argument("--order", choices=ORDERS, help="order of shooting (fastest)")
 
 
 def profile_of(args: argparse.Namespace) -> CameraProfile:
@@ -145,64 +147,69 @@ def profile_of(args: argparse.Namespace) -> CameraProfile:
     return load_profile(args.camera, orientation=args.orientation, focal_length_mm=args.focal_length)
 
 
-def constraints_of(args: argparse.Namespace, base: Constraints | None = None) -> Constraints:
-    """The constraints asked for; what is not asked for comes from `base`, else from the defaults."""
-    band = base.band if base else Band(elevation_min_deg=DEFAULT_ELEVATION_DEG[0], elevation_max_deg=30.0)
-    tolerance = base.tolerance if base else DEFAULT_TOLERANCE
-    if base is None and getattr(args, "yaw", "gimbal") == "vehicle":
-        tolerance = replace(tolerance, yaw_deg=NOSE_TOLERANCE_DEG)
-    overlaps = (base.overlap_h, base.overlap_v) if base else (DEFAULT_OVERLAP, DEFAULT_OVERLAP)
-    elevation = args.elevation or (band.elevation_min_deg, band.elevation_max_deg)
-    azimuth = args.azimuth or (band.azimuth_min_deg, band.azimuth_max_deg)
-    return Constraints(
-        overlap_h=_first(args.overlap_h, args.overlap, overlaps[0]),
-        overlap_v=_first(args.overlap_v, args.overlap, overlaps[1]),
-        band=Band(
-            elevation_min_deg=elevation[0],
-            elevation_max_deg=elevation[1],
-            azimuth_min_deg=azimuth[0],
-            azimuth_max_deg=azimuth[1],
-        ),
-        tolerance=Tolerance(
-            pitch_deg=_first(args.tolerance_pitch, tolerance.pitch_deg),
-            roll_deg=_first(args.tolerance_roll, tolerance.roll_deg),
-            yaw_deg=_first(args.tolerance_yaw, tolerance.yaw_deg),
-        ),
-        guarantee=args.guarantee or (base.guarantee if base else "coverage"),
-        masks=_masks(args) or (base.masks if base else ()),
-        gimbal=_gimbal(args) if hasattr(args, "gimbal_pitch") else None,
-    )
+def spec_of(args: argparse.Namespace, *, profile: CameraProfile | None, file: PlanFile | None = None) -> PlanSpec:
+    """The panorama that the options ask for; what they leave out comes from the plan file, then from the defaults.
+
+    Args:
+        args: as parsed.
+        profile: the camera that the options name; None, only with a file, for that of the file.
+        file: a plan to be judged or flown, instead of one to be computed.
+
+    Raises:
+        UsageError: nobody names a camera, or the method needs options that are not given.
+    """
+    options = _options_of(args)
+    if file is None and options.method == "hdrpano" and not (options.columns and options.rows):
+        raise UsageError("--method hdrpano needs --columns N and --rows N (the paper has 8 and 4, 21 and 10)")
+    named = None if profile is None else profile.camera
+    if file is not None:
+        camera = file.camera_for(named)
+    else:
+        assert named is not None
+        camera = named
+    defaults = PlanSpec(camera=camera, constraints=_default_constraints(args), timing=_timing(profile))
+    return replace(options, camera=named).over(defaults, file)
 
 
-def timing_of(profile: CameraProfile | None) -> Timing:
+def _timing(profile: CameraProfile | None) -> Timing:
     """What a shot costs with this camera; the defaults for one without a profile."""
     if profile is None:
         return Timing()
     return Timing(exposure_s=profile.max_exposure_s, interval_s=profile.min_interval_s)
 
 
-def plan_for(args: argparse.Namespace, camera: Camera, constraints: Constraints, timing: Timing) -> Plan:
-    """The plan by the method asked for, certified (or found wanting), ordered and estimated.
-
-    Raises:
-        PlanningError: no plan can satisfy the constraints.
-        UsageError: the method needs options that are not given.
-    """
-    if args.method == "hdrpano" and not (args.columns and args.rows):
-        raise UsageError("--method hdrpano needs --columns N and --rows N (the paper has 8 and 4, 21 and 10)")
-    return make_plan(
-        camera,
-        constraints,
-        method=args.method,
-        timing=timing,
-        order=args.order,
-        columns=args.columns,
-        rows=args.rows,
+def _options_of(args: argparse.Namespace) -> PlanOptions:
+    """What the options say; a verb without the gimbal's or the method's options says nothing of them."""
+    return PlanOptions(
+        overlap=args.overlap,
+        overlap_h=args.overlap_h,
+        overlap_v=args.overlap_v,
+        elevation_deg=args.elevation,
+        azimuth_deg=args.azimuth,
+        tolerance_pitch_deg=args.tolerance_pitch,
+        tolerance_roll_deg=args.tolerance_roll,
+        tolerance_yaw_deg=args.tolerance_yaw,
+        guarantee=args.guarantee,
+        masks=_masks(args) or None,
+        gimbal=_gimbal(args) if hasattr(args, "gimbal_pitch") else None,
+        method=getattr(args, "method", None),
+        order=getattr(args, "order", None),
+        columns=getattr(args, "columns", None),
+        rows=getattr(args, "rows", None),
     )
 
 
-def _first(*values: float | None) -> float:
-    return next(value for value in values if value is not None)
+def _default_constraints(args: argparse.Namespace) -> Constraints:
+    tolerance = DEFAULT_TOLERANCE
+    if getattr(args, "yaw", "gimbal") == "vehicle":
+        tolerance = replace(tolerance, yaw_deg=NOSE_TOLERANCE_DEG)
+    low, high = DEFAULT_ELEVATION_DEG
+    return Constraints(
+        overlap_h=DEFAULT_OVERLAP,
+        overlap_v=DEFAULT_OVERLAP,
+        band=Band(elevation_min_deg=low, elevation_max_deg=high),
+        tolerance=tolerance,
+    )
 
 
 def _masks(args: argparse.Namespace) -> tuple[AngleBox, ...]:

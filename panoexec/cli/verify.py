@@ -19,9 +19,9 @@ from pathlib import Path
 from panoexec.cli.output import note, print_facts, print_json
 from panoexec.cli.plan import certificate_facts, check_targets
 from panoexec.cli.plan_map import check_plot_path, plot_plan
-from panoexec.cli.planning_options import add_camera_arguments, add_constraint_arguments, constraints_of, profile_of
+from panoexec.cli.planning_options import add_camera_arguments, add_constraint_arguments, profile_of, spec_of
 from panoexec.errors import UsageError
-from panoexec.inputs.plan_file import camera_to_data, certificate_to_data, read_plan_file, write_plan
+from panoexec.inputs.plan_file import PlanFile, camera_to_data, certificate_to_data, read_plan_file, write_plan
 from panoexec.planning.baselines.published import PUBLISHED, published_plan
 from panoexec.planning.certificate.verdict import certify
 from panoexec.planning.model import Plan
@@ -67,13 +67,19 @@ def run(args: argparse.Namespace) -> int:
 
 def _plan(args: argparse.Namespace) -> Plan:
     """The plan named, with the camera and the constraints asked for."""
-    camera = profile_of(args).camera if args.camera else None
-    if str(args.plan) in PUBLISHED and not args.plan.exists():
-        published = published_plan(str(args.plan))
-        return replace(
-            published, camera=camera or published.camera, constraints=constraints_of(args, published.constraints)
+    profile = profile_of(args) if args.camera else None
+    given = spec_of(args, profile=profile, file=_file(args.plan)).given
+    assert given is not None
+    return given
+
+
+def _file(path: Path) -> PlanFile:
+    name = str(path)
+    if name in PUBLISHED and not path.exists():
+        plan = published_plan(name)
+        return PlanFile(
+            source=name, method=plan.method, camera=plan.camera, constraints=plan.constraints, shots=plan.shots
         )
-    if not args.plan.suffix and not args.plan.exists():
-        raise UsageError(f"{args.plan}: neither a file nor a published plan: those are {', '.join(PUBLISHED)}")
-    file = read_plan_file(args.plan)
-    return file.plan(camera=camera, constraints=constraints_of(args, file.constraints))
+    if not path.suffix and not path.exists():
+        raise UsageError(f"{path}: neither a file nor a published plan: those are {', '.join(PUBLISHED)}")
+    return read_plan_file(path)

@@ -14,12 +14,13 @@ import structlog
 
 from panoexec.daemon.error_codes import refusal_of
 from panoexec.daemon.errors import MissionBusyError
-from panoexec.daemon.mission_request import Wish, chosen_profile, settings_of, wish_of
+from panoexec.daemon.mission_request import chosen_profile, settings_of, spec_of
 from panoexec.daemon.missions import Missions
 from panoexec.daemon.planner import plan_apart
 from panoexec.daemon.vehicle_link import VehicleLink
 from panoexec.inputs.config import Config
 from panoexec.inputs.plan_file import camera_to_data, certificate_to_data, estimate_to_data
+from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.mission.executor import Mission
 from panoexec.mission.mission_requests import CommandRefusedError
 from panoexec.mqtt.incoming import Incoming
@@ -128,7 +129,7 @@ class Commands:
             case StartRequest():
                 data = await self._start(request)
             case PlanRequest():
-                data = _plan_data(await self._plan(wish_of(self._config(), request, camera=self.camera)))
+                data = _plan_data(await self._plan(spec_of(self._config(), request, camera=self.camera)))
             case ResumeRequest():
                 data = await self._resume()
             case AbortRequest():
@@ -164,23 +165,24 @@ class Commands:
 
     # --- missions
 
-    async def _plan(self, wish: Wish) -> Plan:
-        key = repr(wish)
+    async def _plan(self, spec: PlanSpec) -> Plan:
+        key = repr(spec)
         known = self._plans.get(key)
         if known is None:
             async with self._planning:
-                known = await plan_apart(wish.job())
+                known = await plan_apart(spec)
             self._plans[key] = known
             while len(self._plans) > _KEPT_PLANS:
                 self._plans.popitem(last=False)
         return known
 
     async def _start(self, request: StartRequest) -> dict[str, Any]:
-        wish = wish_of(self._config(), request, camera=self.camera)
-        settings = settings_of(self._config(), wish)
+        config = self._config()
+        spec = spec_of(config, request, camera=self.camera)
+        settings = settings_of(config, spec)
         async with self._missions.claimed():
             devices = self._vehicle.ready_devices()
-            planning = asyncio.create_task(self._plan(wish), name="plan a mission")
+            planning = asyncio.create_task(self._plan(spec), name="plan a mission")
             self._starting = planning
             try:
                 await asyncio.wait({planning})
@@ -190,7 +192,7 @@ class Commands:
             finally:
                 self._starting = None
                 planning.cancel()
-            name = await self._missions.begin(plan, settings, devices, wish.reference)
+            name = await self._missions.begin(plan, settings, devices, request.reference or config.mission.reference)
         return {"mission_id": name} | _plan_data(plan)
 
     async def _resume(self) -> dict[str, Any]:

@@ -12,18 +12,19 @@ import pickle
 import sys
 from typing import Final
 
+from panoexec.daemon.planner_process import Outcome
 from panoexec.errors import PanoexecError, PlanningError, UsageError
-from panoexec.planning.job import Job, Outcome
+from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.planning.model import Plan
 
 MOST_S: Final = 300.0
 """Planning that takes longer is given up."""
 
-_CHILD: Final = "from panoexec.planning import job; job.main()"
+_CHILD: Final = "from panoexec.daemon.planner_process import main; main()"
 _KINDS: Final[dict[str, type[PanoexecError]]] = {"planning": PlanningError, "usage": UsageError, "": PanoexecError}
 
 
-async def plan_apart(job: Job) -> Plan:
+async def plan_apart(spec: PlanSpec) -> Plan:
     """Compute a plan in a child process, which ends with this call, however that ends.
 
     Raises:
@@ -38,7 +39,7 @@ async def plan_apart(job: Job) -> Plan:
     )
     try:
         async with asyncio.timeout(MOST_S):
-            out, _ = await process.communicate(pickle.dumps(job))
+            out, _ = await process.communicate(pickle.dumps(spec))
     except TimeoutError as error:
         raise PlanningError(
             f"planning took more than {MOST_S:g} s and was given up: ask for a smaller band or a shorter lens"

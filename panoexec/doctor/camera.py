@@ -8,11 +8,11 @@ from typing import Final
 from panoexec.adapters.camera.camera_kind import CameraFound
 from panoexec.adapters.camera.open_camera import KINDS, open_camera
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
-from panoexec.daemon.mission_request import configured_profile
 from panoexec.devices import Camera, EvidenceLevel
 from panoexec.doctor.advice import advise
 from panoexec.doctor.findings import Findings
 from panoexec.errors import DeviceError, PanoexecError
+from panoexec.inputs.camera_profiles import configured_profile
 from panoexec.inputs.config import Config
 
 _ENOUGH_PHOTOS: Final = 100

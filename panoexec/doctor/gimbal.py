@@ -8,13 +8,13 @@ from typing import Final
 
 from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
-from panoexec.daemon.mission_request import gimbal_limits, wish_of
 from panoexec.doctor.advice import advise
 from panoexec.doctor.findings import Findings
 from panoexec.errors import DeviceError, PanoexecError
+from panoexec.inputs.camera_profiles import configured_profile
 from panoexec.inputs.config import Config
+from panoexec.inputs.plan_options import configured_gimbal, configured_spec
 from panoexec.mission.preflight import attitude_problems, limit_problems, limits_that_hold
-from panoexec.mqtt.requests import PlanRequest
 from panoexec.planning.model import GimbalLimits
 
 _PARAMETERS: Final = {"ardupilot": ("MNT1_TYPE",), "px4": ("MNT_MODE_IN", "MNT_MODE_OUT")}
@@ -75,7 +75,7 @@ def _examine_limits(gimbal: MavsdkGimbal, config: Config, findings: Findings) ->
                 advice=f"[gimbal] pitch_deg and yaw_deg, or {advise('limits', findings.autopilot)}",
             )
         else:
-            findings.ok("gimbal", "limits", f"{text}; configured {_range(gimbal_limits(config))}")
+            findings.ok("gimbal", "limits", f"{text}; configured {_range(configured_gimbal(config))}")
         return
     if own.pans or config.gimbal.yaw != "gimbal":
         findings.ok("gimbal", "limits", _range(own))
@@ -134,10 +134,10 @@ def _examine_feedback(gimbal: MavsdkGimbal, link: MavsdkLink, config: Config, fi
 async def _examine_plan(gimbal: MavsdkGimbal, config: Config, findings: Findings) -> None:
     """Plan the configured panorama, and see whether this gimbal reaches all of it."""
     try:
-        wish = wish_of(config, PlanRequest(transaction="doctor"))
-        limits = limits_that_hold(gimbal.limits, wish.constraints.gimbal or GimbalLimits())
-        wish = replace(wish, constraints=replace(wish.constraints, gimbal=limits))
-        plan = await asyncio.to_thread(wish.plan)
+        spec = configured_spec(config, configured_profile(config))
+        limits = limits_that_hold(gimbal.limits, configured_gimbal(config))
+        spec = replace(spec, constraints=replace(spec.constraints, gimbal=limits))
+        plan = await asyncio.to_thread(spec.plan)
     except PanoexecError as error:
         advice = f"[mission] elevation_deg, or {advise('limits', findings.autopilot)}"
         findings.missing("mission", "plan", str(error), needed="the configured panorama", advice=advice)

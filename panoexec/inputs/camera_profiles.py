@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal, Self, TypeAlias
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, field_validator, model_validator
 
 from panoexec.errors import InputFileError, UsageError
+from panoexec.inputs.config import Config
 from panoexec.inputs.validation import problem_lines, read_toml
 from panoexec.optics import Camera
 
@@ -153,6 +154,16 @@ def load_profile(
             "your own profile is named by its file, FILE.toml"
         )
     return _profile(read_toml(path_of_name), str(path_of_name), name_or_path, orientation, focal_length_mm)
+
+
+def configured_profile(config: Config) -> CameraProfile:
+    """The camera that the configuration names.
+
+    Raises:
+        UsageError: there is no such profile, or it does not fit.
+    """
+    section = config.camera
+    return load_profile(section.profile, orientation=section.orientation, focal_length_mm=section.focal_length_mm)
 
 
 def profile_from_mapping(

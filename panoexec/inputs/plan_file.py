@@ -10,18 +10,24 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeAlias
+from typing import Annotated, Any, Self, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, field_validator, model_validator
+from pydantic import Field, Strict, ValidationError, field_validator, model_validator
 
 from panoexec.angles import wrap_180
 from panoexec.errors import InputFileError, UsageError
 from panoexec.files import write_atomically
+from panoexec.inputs.plan_options import (
+    ConstraintsModel,
+    Degrees,
+    Elevation,
+    Finite,
+    PlanFileModel,
+    constraints_to_data,
+)
 from panoexec.inputs.validation import problem_lines
 from panoexec.optics import Camera
 from panoexec.planning.model import (
-    AngleBox,
-    Band,
     Certificate,
     Constraints,
     Estimate,
@@ -29,7 +35,6 @@ from panoexec.planning.model import (
     Method,
     Plan,
     Shot,
-    Tolerance,
 )
 
 FORMAT = "panoexec.plan/1"
@@ -37,21 +42,11 @@ MAX_SHOTS = 100_000
 _SAME_PITCH_DEG = 1e-3
 _FOV_AGREES_DEG = 0.5
 
-# strict: a text or a truth value where a number belongs is a mistake in the program that wrote it
-Finite: TypeAlias = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 Whole: TypeAlias = Annotated[int, Strict()]
 Positive: TypeAlias = Annotated[Finite, Field(gt=0)]
-Overlap: TypeAlias = Annotated[Finite, Field(ge=0, lt=1)]
-Degrees: TypeAlias = Annotated[Finite, Field(ge=-720, le=720)]
-Elevation: TypeAlias = Annotated[Finite, Field(ge=-90, le=90)]
-AxisTolerance: TypeAlias = Annotated[Finite, Field(ge=0, lt=90)]
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="ignore", frozen=True)
-
-
-class _CameraModel(_Model):
+class _CameraModel(PlanFileModel):
     name: str = "camera"
     sensor_width_mm: Positive
     sensor_height_mm: Positive
@@ -75,78 +70,18 @@ class _CameraModel(_Model):
         return Camera(**self.model_dump(exclude={"hfov_deg", "vfov_deg"}))
 
 
-class _ToleranceModel(_Model):
-    pitch: AxisTolerance
-    roll: AxisTolerance
-    yaw: AxisTolerance
-
-
-class _MaskModel(_Model):
-    elevation_deg: tuple[Elevation, Elevation]
-    azimuth_deg: tuple[Degrees, Degrees]
-
-
-class _ConstraintsModel(_Model):
-    overlap_h: Overlap
-    overlap_v: Overlap
-    elevation_deg: tuple[Elevation, Elevation]
-    azimuth_deg: tuple[Degrees, Degrees] = (-180.0, 180.0)
-    tolerance_deg: _ToleranceModel
-    guarantee: Literal["coverage", "all"] = "coverage"
-    masks: Annotated[tuple[_MaskModel, ...], Field(max_length=1000)] = ()
-
-    @field_validator("elevation_deg")
-    @classmethod
-    def _not_upside_down(cls, value: tuple[float, float]) -> tuple[float, float]:
-        if not value[0] < value[1]:
-            raise ValueError(f"[{value[0]:g}, {value[1]:g}] is upside down or empty: the lower end comes first")
-        return value
-
-    @field_validator("azimuth_deg")
-    @classmethod
-    def _a_sector(cls, value: tuple[float, float]) -> tuple[float, float]:
-        if not 0 < value[1] - value[0] <= 360:
-            raise ValueError(f"[{value[0]:g}, {value[1]:g}] must run clockwise over more than 0 and at most 360°")
-        return value
-
-    def constraints(self) -> Constraints:
-        return Constraints(
-            overlap_h=self.overlap_h,
-            overlap_v=self.overlap_v,
-            band=Band(
-                elevation_min_deg=self.elevation_deg[0],
-                elevation_max_deg=self.elevation_deg[1],
-                azimuth_min_deg=self.azimuth_deg[0],
-                azimuth_max_deg=self.azimuth_deg[1],
-            ),
-            tolerance=Tolerance(
-                pitch_deg=self.tolerance_deg.pitch, roll_deg=self.tolerance_deg.roll, yaw_deg=self.tolerance_deg.yaw
-            ),
-            guarantee=self.guarantee,
-            masks=tuple(
-                AngleBox(
-                    elevation_min_deg=mask.elevation_deg[0],
-                    elevation_max_deg=mask.elevation_deg[1],
-                    azimuth_min_deg=mask.azimuth_deg[0],
-                    azimuth_max_deg=mask.azimuth_deg[1],
-                )
-                for mask in self.masks
-            ),
-        )
-
-
-class _ShotModel(_Model):
+class _ShotModel(PlanFileModel):
     index: Annotated[Whole, Field(ge=0, lt=MAX_SHOTS)] | None = None
     row: Annotated[Whole, Field(ge=0, lt=MAX_SHOTS)] | None = None
     pitch_deg: Elevation
     yaw_deg: Degrees
 
 
-class _PlanModel(_Model):
+class _PlanModel(PlanFileModel):
     format: str | None = None
     method: str | None = None
     camera: _CameraModel | None = None
-    constraints: _ConstraintsModel | None = None
+    constraints: ConstraintsModel | None = None
     shots: Annotated[tuple[_ShotModel, ...], Field(min_length=1, max_length=MAX_SHOTS)]
 
     @field_validator("format")
@@ -193,13 +128,22 @@ class PlanFile:
         Raises:
             UsageError: neither the caller nor the file names the camera or the constraints.
         """
-        use_camera = camera or self.camera
+        use_camera = self.camera_for(camera)
         use_constraints = constraints or self.constraints
-        if use_camera is None:
-            raise UsageError(f"{self.source} names no camera: give --camera NAME or FILE.toml")
         if use_constraints is None:
             raise UsageError(f"{self.source} has no constraints: give --overlap and --elevation MIN MAX")
         return Plan(method=self.method, camera=use_camera, constraints=use_constraints, shots=self.shots)
+
+    def camera_for(self, camera: Camera | None) -> Camera:
+        """The camera given, else that of the file.
+
+        Raises:
+            UsageError: neither the caller nor the file names one.
+        """
+        use_camera = camera or self.camera
+        if use_camera is None:
+            raise UsageError(f"{self.source} names no camera: give --camera NAME or FILE.toml")
+        return use_camera
 
 
 def read_plan_file(path: Path) -> PlanFile:
@@ -252,31 +196,11 @@ def plan_from_data(data: object, *, source: str) -> PlanFile:
 
 def plan_to_data(plan: Plan) -> dict[str, Any]:
     """The plan as the JSON document of a plan file."""
-    camera, constraints = plan.camera, plan.constraints
-    band = constraints.band
     return {
         "format": FORMAT,
         "method": plan.method,
-        "camera": camera_to_data(camera),
-        "constraints": {
-            "overlap_h": constraints.overlap_h,
-            "overlap_v": constraints.overlap_v,
-            "elevation_deg": [band.elevation_min_deg, band.elevation_max_deg],
-            "azimuth_deg": [band.azimuth_min_deg, band.azimuth_max_deg],
-            "tolerance_deg": {
-                "pitch": constraints.tolerance.pitch_deg,
-                "roll": constraints.tolerance.roll_deg,
-                "yaw": constraints.tolerance.yaw_deg,
-            },
-            "guarantee": constraints.guarantee,
-            "masks": [
-                {
-                    "elevation_deg": [mask.elevation_min_deg, mask.elevation_max_deg],
-                    "azimuth_deg": [mask.azimuth_min_deg, mask.azimuth_max_deg],
-                }
-                for mask in constraints.masks
-            ],
-        },
+        "camera": camera_to_data(plan.camera),
+        "constraints": constraints_to_data(plan.constraints),
         "shots": [
             {"index": shot.index, "row": shot.row, "pitch_deg": shot.pitch_deg, "yaw_deg": shot.yaw_deg}
             for shot in plan.shots

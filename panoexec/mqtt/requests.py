@@ -13,6 +13,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias, cast
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, field_validator, model_validator
 
 from panoexec.errors import PanoexecError
+from panoexec.inputs.plan_options import PlanOptions
 from panoexec.inputs.validation import dotted, problem_lines
 
 MAX_PAYLOAD = 64 * 1024
@@ -171,6 +172,23 @@ class PlanRequest(Request):
         if self.plan is not None and (self.method is not None or self.order is not None):
             raise ValueError("a plan has its method and its order: leave out method and order, or the plan")
         return self
+
+    def options(self) -> PlanOptions:
+        """What it says of the panorama, but for the camera, whose profile is to be loaded."""
+        tolerance = self.tolerance_deg or ToleranceFields()
+        return PlanOptions(
+            overlap=self.overlap,
+            overlap_h=self.overlap_h,
+            overlap_v=self.overlap_v,
+            elevation_deg=_pair(self.elevation_deg),
+            azimuth_deg=_pair(self.azimuth_deg),
+            tolerance_pitch_deg=tolerance.pitch,
+            tolerance_roll_deg=tolerance.roll,
+            tolerance_yaw_deg=tolerance.yaw,
+            guarantee=self.guarantee,
+            method=self.method,
+            order=self.order,
+        )
 
 
 class StartRequest(PlanRequest):
@@ -343,6 +361,10 @@ def _is_transaction(value: object) -> bool:
     if isinstance(value, str):
         return 1 <= len(value) <= 128
     return isinstance(value, int) and not isinstance(value, bool) and abs(value) < _LARGEST_INTEGER
+
+
+def _pair(value: list[float] | None) -> tuple[float, float] | None:
+    return None if value is None else (value[0], value[1])
 
 
 def _camera(value: object) -> object:

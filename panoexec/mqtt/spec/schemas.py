@@ -9,6 +9,7 @@ from enum import Enum, IntEnum
 from typing import Any, Final
 
 from panoexec.inputs.plan_file import FORMAT
+from panoexec.inputs.plan_options import constraints_schema
 from panoexec.planning.model import Certificate, Estimate, Shot
 
 _NUMBER: Final = {"type": "number"}
@@ -36,23 +37,12 @@ def schema_of_dataclass(cls: Any) -> dict[str, Any]:
 
 def plan_schema() -> dict[str, Any]:
     """Of a plan file (`panoexec.inputs.plan_file.plan_to_data`)."""
-    constraints = _object(
-        {
-            "overlap_h": _NUMBER,
-            "overlap_v": _NUMBER,
-            "elevation_deg": _PAIR,
-            "azimuth_deg": _PAIR,
-            "tolerance_deg": _object({"pitch": _NUMBER, "roll": _NUMBER, "yaw": _NUMBER}),
-            "guarantee": {"enum": ["coverage", "all"]},
-            "masks": {"type": "array", "items": _object({"elevation_deg": _PAIR, "azimuth_deg": _PAIR})},
-        }
-    )
     return _object(
         {
             "format": {"const": FORMAT},
             "method": _TEXT,
             "camera": _part("Camera"),
-            "constraints": constraints,
+            "constraints": constraints_schema(),
             "shots": {"type": "array", "items": schema_of_dataclass(Shot), "minItems": 1},
             "certificate": _or_null(_part("Certificate")),
             "estimate": _or_null(_part("Estimate")),

@@ -161,7 +161,7 @@ def test_an_interrupt_is_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
     def interrupted(*_args: object, **_kwargs: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("panoexec.cli.planning_options.make_plan", interrupted)
+    monkeypatch.setattr("panoexec.inputs.plan_spec.make_plan", interrupted)
     assert run(PLAN) == 130
     err = capsys.readouterr().err
     assert "interrupted" in err
@@ -172,7 +172,7 @@ def test_a_bug_is_no_traceback_either(monkeypatch: pytest.MonkeyPatch, capsys: p
     def broken(*_args: object, **_kwargs: object) -> None:
         raise RuntimeError("a bug")
 
-    monkeypatch.setattr("panoexec.cli.planning_options.make_plan", broken)
+    monkeypatch.setattr("panoexec.inputs.plan_spec.make_plan", broken)
     assert run(PLAN) == 1
     err = capsys.readouterr().err
     assert "a bug" in err

@@ -1,44 +1,104 @@
-"""Who pans, from the configuration to the limits that plan and mission go by."""
+"""From a request and the configuration to what is planned, and to the settings that it is flown with."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from panoexec.daemon.mission_request import configuration_problems, gimbal_limits, settings_of, wish_of
+from panoexec.daemon.mission_request import configuration_problems, settings_of, spec_of
+from panoexec.inputs.camera_profiles import load_profile
 from panoexec.inputs.config import Config
+from panoexec.inputs.plan_file import plan_to_data
+from panoexec.inputs.plan_options import configured_gimbal
 from panoexec.mission.preflight import limits_that_hold
-from panoexec.mqtt.requests import PlanRequest
-from panoexec.planning.model import GimbalLimits, Turning
+from panoexec.mqtt.requests import PlanRequest, RefusedRequestError
+from panoexec.planning.baselines.published import published_plan
+from panoexec.planning.model import AngleBox, Band, GimbalLimits, Tolerance
+
+CONFIG = Config.model_validate({"mission": {"overlap_h": 0.2, "method": "paper", "order": "rows"}})
+SENSOR = {"sensor_width_mm": 36.0, "sensor_height_mm": 24.0, "image_width_px": 6000, "image_height_px": 4000}
 
 
 def config(**gimbal: Any) -> Config:
-    return Config.model_validate(
-        {"gimbal": gimbal, "vehicle": {"connection": "udpin://0.0.0.0:1", "yaw_rate_deg_s": 30}}
+    return Config.model_validate({"gimbal": gimbal, "vehicle": {"connection": "udpin://0.0.0.0:1"}})
+
+
+def request(**fields: Any) -> PlanRequest:
+    return PlanRequest.model_validate({"transaction": "t"} | fields)
+
+
+def test_what_a_request_leaves_out_comes_from_the_configuration() -> None:
+    spec = spec_of(CONFIG, request(overlap_v=0.3, tolerance_deg={"yaw": 1.5}, azimuth_deg=[0, 90]))
+    constraints = spec.constraints
+    assert (constraints.overlap_h, constraints.overlap_v) == (0.2, 0.3)
+    assert constraints.tolerance == Tolerance(pitch_deg=0.1, roll_deg=0.1, yaw_deg=1.5)
+    assert constraints.band == Band(
+        elevation_min_deg=-90.0, elevation_max_deg=30.0, azimuth_min_deg=0.0, azimuth_max_deg=90.0
     )
+    assert (spec.method, spec.order, spec.given) == ("paper", "rows", None)
+    assert constraints.gimbal == GimbalLimits()
 
 
-def test_by_default_the_vehicle_is_never_turned() -> None:
-    assert gimbal_limits(config()).turning is None
-    assert gimbal_limits(config(yaw_deg=[-160, 160])).turning is None
+def test_what_a_request_says_reaches_the_specification() -> None:
+    asked = request(overlap=0.4, elevation_deg=[-10, 10], guarantee="all", method="certified", order="columns")
+    spec = spec_of(CONFIG, asked)
+    assert (spec.constraints.overlap_h, spec.constraints.overlap_v) == (0.4, 0.4)
+    assert (spec.constraints.band.elevation_min_deg, spec.constraints.band.elevation_max_deg) == (-10, 10)
+    assert (spec.constraints.guarantee, spec.method, spec.order) == ("all", "certified", "columns")
 
 
-def test_a_vehicle_that_pans_leaves_the_gimbal_no_pan_range() -> None:
-    limits = gimbal_limits(config(yaw="vehicle", yaw_deg=[-160, 160], pitch_deg=[-90, 20]))
-    assert (limits.yaw_min_deg, limits.yaw_max_deg, limits.yaw_endless, limits.pans) == (0.0, 0.0, False, False)
-    assert limits.pitch_max_deg == 20
-    assert limits.turning == Turning(rate_deg_s=30.0, acceleration_deg_s2=90.0)
-    # what the gimbal states of its pan axis does not count then, what it states of its pitch does
+def test_a_plan_in_the_request_is_judged_for_its_own_camera_and_constraints() -> None:
+    plan = published_plan("scenario-3-proposed")
+    mask = AngleBox(elevation_min_deg=-90.0, elevation_max_deg=-80.0, azimuth_min_deg=0.0, azimuth_max_deg=90.0)
+    data = plan_to_data(plan)
+    data["constraints"]["masks"] = [{"elevation_deg": [-90, -80], "azimuth_deg": [0, 90]}]
+    spec = spec_of(CONFIG, request(plan=data, overlap_v=0.1), camera="dji-x5s-45mm")
+    assert spec.given is not None
+    assert spec.given.shots == plan.shots
+    assert spec.given.camera == spec.camera == plan.camera
+    assert spec.given.constraints == spec.constraints
+    assert (spec.constraints.overlap_h, spec.constraints.overlap_v) == (0.15, 0.1)
+    assert spec.constraints.masks == (mask,)
+    assert spec.constraints.tolerance == plan.constraints.tolerance
+    assert spec.constraints.gimbal == configured_gimbal(CONFIG)
+    # what a shot costs is the mounted camera's business, whatever the file calls it
+    assert spec.timing.interval_s == load_profile("dji-x5s-45mm").min_interval_s
+    named = spec_of(CONFIG, request(plan=data, camera="dji-x5s-15mm"))
+    assert named.given is not None
+    assert named.given.camera == load_profile("dji-x5s-15mm").camera
+
+
+def test_the_camera_of_a_request_wins_over_the_one_set_before_and_the_configured_one() -> None:
+    assert spec_of(CONFIG, request()).camera.name == "dji-x5s-15mm"
+    assert spec_of(CONFIG, request(), camera="dji-x5s-45mm").camera.name == "dji-x5s-45mm"
+    table = SENSOR | {"name": "mine", "focal_length_mm": 35.0}
+    assert spec_of(CONFIG, request(camera=table), camera="dji-x5s-45mm").camera.name == "mine"
+
+
+@pytest.mark.parametrize(
+    ("fields", "field"),
+    [
+        ({"camera": "no-such-camera"}, "camera"),
+        ({"camera": SENSOR}, "camera.focal_length_mm"),
+        ({"plan": {"shots": []}}, "plan.shots"),
+    ],
+)
+def test_what_is_wrong_is_refused_by_the_name_of_its_field(fields: dict[str, Any], field: str) -> None:
+    with pytest.raises(RefusedRequestError) as caught:
+        spec_of(CONFIG, request(**fields))
+    assert (caught.value.code, caught.value.field) == ("invalid", field)
+
+
+def test_a_vehicle_that_pans_ignores_what_the_gimbal_states_of_its_pan_axis_but_not_of_its_pitch() -> None:
+    limits = configured_gimbal(config(yaw="vehicle", yaw_deg=[-160, 160], pitch_deg=[-90, 20]))
     own = GimbalLimits(pitch_min_deg=-120.0, pitch_max_deg=40.0)
     held = limits_that_hold(own, limits)
     assert (held.pitch_min_deg, held.pitch_max_deg, held.pans) == (-120.0, 40.0, False)
 
 
-def test_auto_keeps_the_pan_range_that_is_stated_else_the_configured_one() -> None:
-    limits = gimbal_limits(config(yaw="auto", yaw_deg=[-160, 160]))
-    assert (limits.yaw_min_deg, limits.yaw_max_deg, limits.all_round) == (-160.0, 160.0, True)
+def test_auto_keeps_the_pan_range_that_is_stated() -> None:
+    limits = configured_gimbal(config(yaw="auto", yaw_deg=[-160, 160]))
     own = GimbalLimits(yaw_min_deg=0.0, yaw_max_deg=0.0, yaw_endless=False)
     held = limits_that_hold(own, limits)
     assert not held.pans
@@ -46,9 +106,8 @@ def test_auto_keeps_the_pan_range_that_is_stated_else_the_configured_one() -> No
 
 
 @pytest.mark.parametrize("yaw", ["vehicle", "auto"])
-def test_it_is_no_problem_of_a_configuration_and_reaches_the_mission(yaw: str, tmp_path: Path) -> None:
-    del tmp_path
+def test_who_pans_is_no_problem_of_a_configuration_and_reaches_the_mission(yaw: str) -> None:
     wanted = config(yaw=yaw)
     assert configuration_problems(wanted) == []
-    settings = settings_of(wanted, wish_of(wanted, PlanRequest(transaction="t")))
+    settings = settings_of(wanted, spec_of(wanted, request()))
     assert settings.gimbal.turning is not None

@@ -5,23 +5,25 @@ from __future__ import annotations
 import asyncio
 import os
 import pickle
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
 from panoexec.daemon import planner
-from panoexec.daemon.mission_request import Wish, wish_of
+from panoexec.daemon.mission_request import spec_of
 from panoexec.daemon.planner import plan_apart
+from panoexec.daemon.planner_process import outcome_of
 from panoexec.errors import PanoexecError, PlanningError
 from panoexec.inputs.config import Config
+from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.mqtt.requests import PlanRequest
-from panoexec.planning.job import Job, outcome_of
 from tests.wire.broker import eventually
 
 
-def a_wish(**fields: object) -> Wish:
-    return wish_of(Config(), PlanRequest.model_validate({"transaction": 1, "elevation_deg": [-30, 0]} | fields))
+def a_spec(**fields: object) -> PlanSpec:
+    return spec_of(Config(), PlanRequest.model_validate({"transaction": 1, "elevation_deg": [-30, 0]} | fields))
 
 
 def children() -> set[int]:
@@ -30,25 +32,25 @@ def children() -> set[int]:
 
 
 async def test_gives_the_plan_that_this_process_would_have_made() -> None:
-    wish = a_wish(method="paper")
-    plan = await plan_apart(wish.job())
-    assert plan == wish.plan()
+    spec = a_spec(method="paper")
+    plan = await plan_apart(spec)
+    assert plan == spec.plan()
     assert children() == set()
 
 
 async def test_what_cannot_be_planned_is_the_same_error() -> None:
-    wish = a_wish(tolerance_deg={"pitch": 40.0})
+    spec = a_spec(tolerance_deg={"pitch": 40.0})
     with pytest.raises(PlanningError) as here:
-        wish.plan()
+        spec.plan()
     with pytest.raises(PlanningError) as there:
-        await plan_apart(wish.job())
+        await plan_apart(spec)
     assert str(there.value) == str(here.value)
 
 
 async def test_nothing_goes_on_when_nobody_waits_any_more() -> None:
-    long = a_wish(camera={"name": "tele", **SENSOR, "focal_length_mm": 400.0}, elevation_deg=[-90, 90])
+    long = a_spec(camera={"name": "tele", **SENSOR, "focal_length_mm": 400.0}, elevation_deg=[-90, 90])
     before = children()
-    planning = asyncio.create_task(plan_apart(long.job()), name="planning")
+    planning = asyncio.create_task(plan_apart(long), name="planning")
     await eventually(lambda: children() - before)
     planning.cancel()
     with pytest.raises(asyncio.CancelledError):
@@ -59,23 +61,33 @@ async def test_nothing_goes_on_when_nobody_waits_any_more() -> None:
 async def test_a_child_that_dies_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "executable", "/bin/false")
     with pytest.raises(PanoexecError, match="planning ended with code 1"):
-        await plan_apart(a_wish().job())
+        await plan_apart(a_spec())
 
 
 async def test_planning_that_does_not_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(planner, "MOST_S", 0.01)
     with pytest.raises(PlanningError, match="given up: ask for a smaller band"):
-        await plan_apart(a_wish().job())
+        await plan_apart(a_spec())
     assert children() == set()
 
 
 def test_other_errors_of_ours_are_told_by_their_text(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(_job: Job) -> None:
+    def fail(_spec: PlanSpec) -> None:
         raise PanoexecError("not today")
 
-    monkeypatch.setattr(Job, "done", fail)
-    outcome = pickle.loads(pickle.dumps(outcome_of(a_wish().job())))
+    monkeypatch.setattr(PlanSpec, "plan", fail)
+    outcome = pickle.loads(pickle.dumps(outcome_of(a_spec())))
     assert (outcome.plan, outcome.text) == (None, "not today")
+
+
+def test_the_child_imports_the_planner_and_nothing_slow() -> None:
+    slow = {"pydantic", "asyncio", "structlog", "mavsdk", "aiomqtt"}
+    program = (
+        "import sys, panoexec.daemon.planner_process;"
+        f"print(*sorted({slow} & {{name.partition('.')[0] for name in sys.modules}}))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
 
 
 SENSOR = {
