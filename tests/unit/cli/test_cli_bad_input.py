@@ -24,7 +24,7 @@ def profile(tmp_path: Path) -> Path:
     ("argv", "says"),
     [
         ([], None),
-        (["fly"], "no verb 'fly'"),
+        (["fly"], "unknown command 'fly'"),
         (["plam"], "did you mean 'plan'"),
         (["plan"], "--camera"),
         ([*PLAN, "--speed", "3"], "--speed"),
@@ -60,7 +60,7 @@ def profile(tmp_path: Path) -> Path:
         ([*PLAN, "--plot", "plan.docx"], "plan.docx"),
         ([*PLAN, "--output", "no/such/folder/plan.json"], "no/such/folder"),
         (["verify", "no.json"], "no.json: cannot be read"),
-        (["verify", "scenario-9"], "neither a file nor a published plan: those are scenario-1-proposed"),
+        (["verify", "scenario-9"], "neither a file nor a published plan (published: scenario-1-proposed"),
         (["send"], "the following arguments are required: COMMAND (see"),
         (["send", "start", "--plan", "no.json"], "--plan no.json: cannot be read: No such file or directory"),
         (["send", "start", "--plan", __file__], "is not valid JSON"),

@@ -22,7 +22,7 @@ def file(tmp_path: Path) -> Path:
 def test_a_good_one_is_shown(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["check-config", str(file)]) == 0
     out = capsys.readouterr().out
-    for part in (f"{file} is good", "kite on udpin://0.0.0.0:14540", "dji-x5s-15mm", "broker:1883"):
+    for part in (f"{file} is valid", "kite on udpin://0.0.0.0:14540", "dji-x5s-15mm", "broker:1883"):
         assert part in out
 
 
