@@ -1,11 +1,11 @@
-"""Requests that were obeyed and how they were answered, so that the same one acts once, across restarts too.
+"""Executed requests and their responses, so that each request is executed at most once, also across restarts.
 
-One SQLite file in the storage: a request is noted before it acts and its answer after, both durable. A request that was
-noted and never answered belongs to a process that died in between: nobody knows whether it acted, so it does not act
-again. The file also keeps the few things that the daemon must remember (`remember`, `recall`).
+One SQLite file in the storage: a request is recorded before its execution and its response afterwards, both durably. A
+recorded request without a response belongs to a process that ended in between. It is unknown whether it was executed,
+so it is not executed again. The file also stores a few values for the daemon (`remember`, `recall`).
 
-A disk that is full or read-only may be well again: the store can be opened all the same, refuses what acts until then,
-and opens its file when it is asked for the next time.
+A full or read-only disk may recover: the store can be opened nevertheless, rejects requests with an effect until then,
+and tries to open its file again at the next use.
 """
 
 from __future__ import annotations

@@ -129,7 +129,7 @@ async def test_nobody_answers(tmp_path: Path) -> None:
     with running_broker(tmp_path) as broker:
         code, out, err = await outcome("send", "get", "--port", broker.port, "--timeout", "0.3")
         assert (code, out) == (3, "")
-        assert "drone did not answer get within 0.3 s" in err
+        assert "drone did not respond to get within 0.3 s" in err
         code, _, err = await outcome("watch", "--port", broker.port, "--timeout", "0.5", "--vehicle", "kite")
         assert code == 3
         assert "no message received from kite" in err
@@ -163,7 +163,7 @@ def test_wrong_usage(arguments: list[str], code: int, says: str, capsys: pytest.
 def test_no_broker(verb: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     port = free_tcp_port()
     assert run([*verb, "--port", str(port)]) == 3
-    assert f"no broker at 127.0.0.1:{port}: nothing listens on" in capsys.readouterr().err
+    assert f"no connection to broker 127.0.0.1:{port}: nothing listens on" in capsys.readouterr().err
 
 
 async def test_watch_waits_for_a_broker_that_goes_away(tmp_path: Path) -> None:

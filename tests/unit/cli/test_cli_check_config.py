@@ -51,7 +51,7 @@ def test_all_problems_come_at_once_one_line_each(file: Path, capsys: pytest.Capt
     assert len(lines) == 4
     assert all(line.startswith(f"panoexec: {file}: ") for line in lines)
     for part in (
-        "everybody on this machine can read it",
+        "readable by everybody on this computer",
         "ca_file",
         "no camera profile 'no-such'",
         "vehicle.connection",
