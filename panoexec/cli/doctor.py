@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=positive,
         default=20.0,
         metavar="S",
-        help="timeout for each of autopilot, gimbal and camera (s) (20)",
+        help="timeout in s for each of autopilot, gimbal and camera (20)",
     )
     parser.add_argument(
         "--speedup", type=positive, default=1.0, metavar="N", help="speed-up of the simulated vehicle (1)"

@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     # without a default, parse_intermixed_args reports the argument as required
     parser.add_argument("fields", nargs="*", default=[], metavar="KEY=VALUE", help="request fields")
     parser.add_argument("--plan", type=Path, metavar="PLAN.json", help="plan file, for `plan` and `start`")
-    parser.add_argument("--timeout", type=positive, default=60.0, metavar="S", help="response timeout (s) (60)")
+    parser.add_argument("--timeout", type=positive, default=60.0, metavar="S", help="response timeout in s (60)")
     parser.add_argument("--json", action="store_true", help="print the response as one JSON document on stdout")
     add_broker_arguments(parser)
 
