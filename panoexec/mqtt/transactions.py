@@ -99,7 +99,7 @@ class Transactions:
         """Open the file if that was not possible yet; why the storage cannot be used, "" if it is open.
 
         Args:
-            patient: a storage that is full or read-only is told, not raised.
+            patient: return the reason instead of raising if the storage is full or read-only.
 
         Raises:
             UsageError: it cannot be made, is damaged, or is in use by another daemon.
