@@ -1,4 +1,4 @@
-# Everything a newcomer, a developer and CI need; each target installs what it needs first (as root on Debian).
+# Targets for users, developers and CI. Each target first installs what it needs (as root on Debian).
 PYTHON  ?= python3
 VENV    ?= .venv
 BIN     := $(VENV)/bin
@@ -10,41 +10,41 @@ WORKERS ?= 4
 help:            ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
 
-dry-run: $(VENV)/.sim     ## fly a complete panorama on the embedded simulated vehicle (ARGS="--speedup 4 …")
+dry-run: $(VENV)/.sim     ## fly a complete mission on the embedded simulated vehicle (ARGS="--speedup 4 …")
 	$(BIN)/panoexec dry-run --camera dji-x5s-15mm --overlap 0.15 --elevation -90 30 $(ARGS)
 
-experiment: $(VENV)/.sim  ## repeat the paper's simulation case (installs hugin-tools; ARGS="--scenario all --seeds 5")
+experiment: $(VENV)/.sim  ## reproduce the paper's simulation (installs hugin-tools; ARGS="--scenario all --seeds 5")
 	@.ci/setup hugin
 	$(BIN)/panoexec experiment $(if $(ARGS),$(ARGS),--scenario 1)
 
-test: $(VENV)/.dev        ## run the tests (installs mosquitto if it is missing)
+test: $(VENV)/.dev        ## run the tests (installs mosquitto if missing)
 	@.ci/setup tests
 	$(BIN)/pytest -n $(WORKERS) --dist loadfile $(ARGS)
 
-check: $(VENV)/.dev       ## lint, format, types, import directions
+check: $(VENV)/.dev       ## check lint, formatting, types and import layers
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
-format: $(VENV)/.dev      ## put the code in order
+format: $(VENV)/.dev      ## fix lint and formatting
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: $(VENV)/.dev       ## measure speed and memory, as ratios taken in one run
+bench: $(VENV)/.dev       ## run the benchmarks (speed and memory)
 	$(BIN)/python -m tests.bench $(ARGS)
 
-deb: $(VENV)/bin/python   ## build dist/panoexec_VERSION_ARCH.deb for this Debian: what a vehicle gets
+deb: $(VENV)/bin/python   ## build dist/panoexec_VERSION_ARCH.deb for this Debian release and architecture
 	@.ci/setup deb
 	@packaging/deb $(BIN)/python
 
-install: $(VENV)/bin/python ## the same without a package, or an upgrade of it: on this machine, or into DESTDIR
+install: $(VENV)/bin/python ## install or upgrade without a package, on this machine or into DESTDIR
 	@if [ -n "$(DESTDIR)" ]; then packaging/stage $(BIN)/python "$(DESTDIR)"; else packaging/install $(BIN)/python; fi
 
-uninstall:       ## take away what install put here; configuration and missions stay (ARGS=purge: nothing does)
+uninstall:       ## remove the installation, keep configuration and missions (ARGS=purge: delete them too)
 	@packaging/uninstall $(ARGS)
 
-clean:           ## remove what the targets made (missions stay)
+clean:           ## remove build products and the virtual environment (keeps missions)
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis *.egg-info
 
 $(VENV)/bin/python:

@@ -1,7 +1,7 @@
-"""Dispatch to the verbs; every error a user can cause ends here as one line and an exit code.
+"""Dispatch to the commands; every error that a user can cause is reported here as one line and an exit code.
 
-A verb is a module with `add_arguments(parser)` and `run(args) -> int`. Its module is imported only when it is called,
-so that `panoexec --help` and `panoexec cameras` answer at once.
+A command is a module with `add_arguments(parser)` and `run(args) -> int`. The module is imported only when the command
+is called, so that `panoexec --help` and `panoexec cameras` respond immediately.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ EXIT_INTERRUPTED = 130
 
 
 @dataclass(frozen=True, slots=True)
-class Verb:
-    """Where a verb lives, and what it is for in one line."""
+class Command:
+    """The module of a command and its one-line summary."""
 
     module: str
     summary: str
     extra: str = ""
-    """The optional extra whose packages it needs, if any."""
+    """The optional extra whose packages the command needs, or ""."""
 
 
-VERBS: dict[str, Verb] = {
-    "plan": Verb("plan", "compute the fewest poses that cover a panorama, with proof"),
-    "verify": Verb("verify", "judge any plan file: coverage, overlaps, connectivity under pointing errors"),
-    "cameras": Verb("cameras", "list the camera profiles, or show one with its field of view"),
-    "dry-run": Verb("dry_run", "fly a whole mission on the embedded simulated vehicle", extra="sim"),
-    "report": Verb("report", "write the report of a mission: one HTML page that opens anywhere"),
-    "stitch": Verb("stitch", "stitch a mission's photos with Hugin's tools and measure completeness", extra="report"),
-    "experiment": Verb("experiment", "repeat the paper's simulation case: render, stitch, compare", extra="sim"),
-    "simulate": Verb("simulate", "run the simulated vehicle alone, to try a ground station or `serve`", extra="sim"),
-    "serve": Verb("serve", "run the daemon that a ground station commands by MQTT"),
-    "send": Verb("send", "ask a vehicle for something by MQTT and show its answer"),
-    "watch": Verb("watch", "watch vehicles by MQTT: live progress and shots"),
-    "doctor": Verb("doctor", "run_checks a vehicle: what is there, what is missing, which parameter to set"),
-    "check-config": Verb("check_config", "tell every problem of a configuration at once"),
+COMMANDS: dict[str, Command] = {
+    "plan": Command("plan", "compute the smallest set of poses that cover a panorama, with a certificate"),
+    "verify": Command("verify", "check any plan file: coverage, overlaps, connectivity under pointing errors"),
+    "cameras": Command("cameras", "list the camera profiles, or show one with its field of view"),
+    "dry-run": Command("dry_run", "fly a complete mission on a simulated vehicle", extra="sim"),
+    "report": Command("report", "write the report of a mission as one self-contained HTML page"),
+    "stitch": Command("stitch", "stitch the photos of a mission with Hugin and measure completeness", extra="report"),
+    "experiment": Command("experiment", "reproduce the paper's simulation: render, stitch, compare", extra="sim"),
+    "simulate": Command("simulate", "run only the simulated vehicle, for a ground station or `serve`", extra="sim"),
+    "serve": Command("serve", "run the daemon that executes missions on MQTT requests"),
+    "send": Command("send", "send a request to a vehicle over MQTT and show the response"),
+    "watch": Command("watch", "show live progress of vehicles over MQTT"),
+    "doctor": Command("doctor", "check a vehicle before a mission and name the parameters to set"),
+    "check-config": Command("check_config", "report all problems in a configuration file"),
 }
 
 
@@ -74,13 +74,13 @@ def run(argv: Sequence[str]) -> int:
         print("panoexec: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     except BrokenPipeError:
-        # the reader of a pipe has gone (`panoexec cameras | head`): say nothing, not even at exit
+        # the reader of a pipe has closed it (`panoexec cameras | head`): no message, not even at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_DONE
     except OSError as error:
         return _report(UsageError(f"{error.filename or 'output'}: {error.strerror or error}"))
     except Exception as error:
-        # the edge of the program: no traceback ever reaches a user who did not ask for it
+        # last resort: users see a traceback only on request
         if os.environ.get("PANOEXEC_TRACEBACK"):
             raise
         text = f"internal error, please report it: {type(error).__name__}: {error} (PANOEXEC_TRACEBACK=1 shows where)"
@@ -88,7 +88,7 @@ def run(argv: Sequence[str]) -> int:
 
 
 def _report(error: PanoexecError) -> int:
-    # one line whatever the message holds
+    # one line, even if the message contains line breaks
     print(f"panoexec: {' '.join(str(error).split())}", file=sys.stderr)
     return error.exit_code
 
@@ -101,13 +101,13 @@ def _dispatch(argv: list[str]) -> int:
         print(f"panoexec {panoexec.__version__}")
         return EXIT_DONE
     name, rest = argv[0], argv[1:]
-    verb = VERBS.get(name)
-    if verb is None:
-        raise UsageError(_unknown_verb(name))
-    module = _load(name, verb)
+    command = COMMANDS.get(name)
+    if command is None:
+        raise UsageError(_unknown_command(name))
+    module = _load(name, command)
     parser = parser_of(name, module)
     try:
-        # options may stand between a verb's fields where it says so
+        # some commands accept options between their positional arguments
         parse = parser.parse_intermixed_args if getattr(module, "INTERMIXED", False) else parser.parse_args
         args = parse(rest)
     except SystemExit as done:  # --help
@@ -116,48 +116,48 @@ def _dispatch(argv: list[str]) -> int:
 
 
 def parser_of(name: str, module: Any) -> Parser:
-    """The parser of one verb, given its module.
+    """The argument parser of one command, given its module.
 
-    Negative numbers are values here (--elevation -90 30); no option looks like one.
+    Negative numbers are parsed as values (--elevation -90 30), because no option looks like a negative number.
     """
     parser = Parser(prog=f"panoexec {name}", description=module.__doc__, formatter_class=_Formatter, allow_abbrev=False)
     module.add_arguments(parser)
     return parser
 
 
-def _load(name: str, verb: Verb) -> Any:
+def _load(name: str, command: Command) -> Any:
     try:
-        return importlib.import_module(f"panoexec.cli.{verb.module}")
+        return importlib.import_module(f"panoexec.cli.{command.module}")
     except ModuleNotFoundError as error:
-        if verb.extra and error.name and not error.name.startswith("panoexec"):
+        if command.extra and error.name and not error.name.startswith("panoexec"):
             raise DependencyError(
-                f"`{name}` needs the Python package {error.name}: {to_install(verb.extra)}"
+                f"`{name}` needs the Python package {error.name}: {to_install(command.extra)}"
             ) from error
         raise
 
 
 class _Formatter(argparse.RawDescriptionHelpFormatter):
-    """Keeps the module's docstring as it is written."""
+    """Prints the docstring of the module without re-wrapping it."""
 
 
 def _overview() -> str:
-    width = max(map(len, VERBS)) + 2
-    lines = [f"  {name:<{width}}{verb.summary}" for name, verb in VERBS.items()]
+    width = max(map(len, COMMANDS)) + 2
+    lines = [f"  {name:<{width}}{command.summary}" for name, command in COMMANDS.items()]
     return "\n".join(
         [
             "panoexec: complete gigapixel panoramas by multirotor",
             "",
-            "usage: panoexec VERB [options]      panoexec VERB --help explains a verb",
+            "usage: panoexec COMMAND [options]      (panoexec COMMAND --help for details)",
             "",
             *lines,
             "",
-            "exit codes: 0 done, 1 the result falls short, 2 wrong usage or input, 3 device or link failure,",
+            "exit codes: 0 done, 1 result incomplete, 2 wrong usage or input, 3 device or link failure,",
             "            130 interrupted",
         ]
     )
 
 
-def _unknown_verb(name: str) -> str:
-    near = difflib.get_close_matches(name, VERBS, n=1)
-    hint = f"did you mean {near[0]!r}?" if near else f"verbs are {', '.join(VERBS)}"
-    return f"there is no verb {name!r}: {hint} (see panoexec --help)"
+def _unknown_command(name: str) -> str:
+    near = difflib.get_close_matches(name, COMMANDS, n=1)
+    hint = f"did you mean {near[0]!r}?" if near else f"commands are {', '.join(COMMANDS)}"
+    return f"unknown command {name!r}: {hint} (see panoexec --help)"

@@ -1,4 +1,4 @@
-"""The options by which `send` and `watch` say which broker and which vehicle are meant."""
+"""The options of `send` and `watch` that select the broker and the vehicle."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ _OPTIONS = ("host", "port", "prefix", "protocol", "username", "password_file", "
 
 
 def add_broker_arguments(parser: argparse.ArgumentParser) -> None:
-    """Broker and credentials: from a configuration, from options, or the one with the other."""
-    group = parser.add_argument_group("broker (what is not given comes from --config, then from the defaults)")
-    group.add_argument("--config", type=Path, metavar="FILE", help="a configuration with [mqtt] and [vehicle]")
-    group.add_argument("--vehicle", metavar="ID", help="which vehicle (drone)")
-    group.add_argument("--host", help="the broker (127.0.0.1)")
-    group.add_argument("--port", type=int, metavar="N", help="its port (1883)")
-    group.add_argument("--prefix", help="first part of the topics (panoexec)")
+    """Add the options for broker and credentials, which override those of a configuration file."""
+    group = parser.add_argument_group("broker (options override --config, which overrides the defaults)")
+    group.add_argument("--config", type=Path, metavar="FILE", help="configuration file with [mqtt] and [vehicle]")
+    group.add_argument("--vehicle", metavar="ID", help="vehicle id (drone)")
+    group.add_argument("--host", help="host name or address of the broker (127.0.0.1)")
+    group.add_argument("--port", type=int, metavar="N", help="port of the broker (1883)")
+    group.add_argument("--prefix", help="topic prefix (panoexec)")
     group.add_argument("--protocol", choices=("5", "3.1.1"), help="MQTT version (5)")
-    group.add_argument("--username")
-    group.add_argument("--password-file", type=Path, metavar="FILE")
-    group.add_argument("--ca-file", type=Path, metavar="FILE", help="TLS")
-    group.add_argument("--cert-file", type=Path, metavar="FILE")
-    group.add_argument("--key-file", type=Path, metavar="FILE")
+    group.add_argument("--username", help="user name for the broker")
+    group.add_argument("--password-file", type=Path, metavar="FILE", help="file with the password")
+    group.add_argument("--ca-file", type=Path, metavar="FILE", help="CA certificate; enables TLS")
+    group.add_argument("--cert-file", type=Path, metavar="FILE", help="client certificate")
+    group.add_argument("--key-file", type=Path, metavar="FILE", help="private key of the client certificate")
 
 
 def broker_of(args: argparse.Namespace) -> tuple[MqttSection, str]:
-    """The broker and the vehicle's id.
+    """The broker settings and the vehicle id.
 
     Raises:
         UsageError: an option or the configuration is wrong.
@@ -50,5 +50,5 @@ def broker_of(args: argparse.Namespace) -> tuple[MqttSection, str]:
         section = section.model_copy(update={"host": "127.0.0.1"})
     vehicle = args.vehicle or vehicle
     if any(char in vehicle for char in "/+#"):
-        raise UsageError(f"--vehicle {vehicle}: an id has no / + or # in it")
+        raise UsageError(f"--vehicle {vehicle}: an id must not contain / + or #")
     return section, vehicle

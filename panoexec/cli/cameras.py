@@ -1,4 +1,4 @@
-"""List the shipped camera profiles, or show one (a name or a profile file) with its field of view.
+"""List the included camera profiles, or show one profile (by name or file) with its field of view.
 
 Example:
   panoexec cameras dji-x5s-15mm
@@ -14,15 +14,15 @@ from panoexec.inputs.plan_file import camera_to_data
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verb's options."""
-    parser.add_argument("camera", nargs="?", metavar="NAME|FILE.toml")
-    parser.add_argument("--orientation", choices=("landscape", "portrait"), help="how it is mounted")
-    parser.add_argument("--focal-length", type=float, metavar="MM", help="for zooms: within the profile's range")
-    parser.add_argument("--json", action="store_true", help="one JSON document on stdout")
+    """Declare the command's options."""
+    parser.add_argument("camera", nargs="?", metavar="NAME|FILE.toml", help="camera profile: a name or a file")
+    parser.add_argument("--orientation", choices=("landscape", "portrait"), help="mounting orientation")
+    parser.add_argument("--focal-length", type=float, metavar="MM", help="focal length of a zoom lens (mm)")
+    parser.add_argument("--json", action="store_true", help="print one JSON document on stdout")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show one profile, or all."""
+    """Show one profile or list all."""
     if args.camera:
         profile = load_profile(args.camera, orientation=args.orientation, focal_length_mm=args.focal_length)
         if args.json:

@@ -1,4 +1,4 @@
-"""Check a configuration of the daemon: every problem at once, overriding environment variables included.
+"""Check a configuration of the daemon and report all problems at once, including those of environment variables.
 
 Example:
   panoexec check-config /etc/panoexec/config.toml
@@ -16,15 +16,17 @@ from panoexec.errors import InputFileError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verb's options."""
-    parser.add_argument("config", type=Path, metavar="FILE")
+    """Declare the command's options."""
+    parser.add_argument("config", type=Path, metavar="FILE", help="configuration file")
     parser.add_argument(
-        "--json", action="store_true", help="one JSON document on stdout: problems, or the whole config"
+        "--json",
+        action="store_true",
+        help="print the problems, or the complete configuration, as one JSON document on stdout",
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check, and say what was found."""
+    """Check the configuration and print the result."""
     try:
         config = checked_config(args.config, os.environ)
     except InputFileError as error:
@@ -40,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     broker = "none" if config.mqtt.host is None else f"{config.mqtt.host}:{config.mqtt.port}"
     print_facts(
         [
-            ("config", f"{args.config} is good"),
+            ("config", f"{args.config} is valid"),
             ("vehicle", f"{config.vehicle.id} on {config.vehicle.connection or f'serial {config.vehicle.serial}'}"),
             ("camera", config.camera.profile),
             ("broker", broker),

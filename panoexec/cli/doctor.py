@@ -1,8 +1,8 @@
-"""Examine a vehicle: links, message rates, gimbal, camera, evidence, clock, disk, broker, permissions.
+"""Check a vehicle before a mission: links, message rates, gimbal, camera, evidence, clock, disk, broker, permissions.
 
-Tells what was found, what is missing, and which parameter of ArduPilot or PX4, or which key of the configuration, to
-set. Nothing moves, and no photo is taken without --photo. The daemon must not run meanwhile: it holds the link. Exit
-codes: 0 nothing is missing, 1 something of this computer is, 2 the configuration is wrong, 3 a device or a link is.
+Reports what was found, what is missing, and which ArduPilot or PX4 parameter or which configuration key to set. Nothing
+moves, and no photo is taken without --photo. Stop the daemon first, because it occupies the link. Exit codes: 0 nothing
+is missing, 1 something is missing on this computer, 2 invalid configuration, 3 a device or link is missing.
 
 Examples:
   panoexec doctor --config /etc/panoexec/config.toml
@@ -32,22 +32,26 @@ _STYLES = {Verdict.OK: "green", Verdict.NOTE: "dim", Verdict.WARNING: "yellow", 
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verb's options."""
+    """Declare the command's options."""
     parser.add_argument(
-        "--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help=f"the configuration ({DEFAULT_CONFIG})"
+        "--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help=f"configuration file ({DEFAULT_CONFIG})"
     )
-    parser.add_argument("--photo", action="store_true", help="take one photo, to see what proves it")
+    parser.add_argument("--photo", action="store_true", help="take one photo and report its evidence")
     parser.add_argument(
-        "--timeout", type=positive, default=20.0, metavar="S", help="to wait for autopilot, gimbal and camera each (20)"
+        "--timeout",
+        type=positive,
+        default=20.0,
+        metavar="S",
+        help="timeout in s for each of autopilot, gimbal and camera (20)",
     )
     parser.add_argument(
-        "--speedup", type=positive, default=1.0, metavar="N", help="for a simulated vehicle that runs N times faster"
+        "--speedup", type=positive, default=1.0, metavar="N", help="speed-up of the simulated vehicle (1)"
     )
-    parser.add_argument("--json", action="store_true", help="one JSON document on stdout")
+    parser.add_argument("--json", action="store_true", help="print one JSON document on stdout")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Examine, and show what was found."""
+    """Run the checks and print the findings."""
     config = checked_config(args.config, os.environ)
     configure_logs("error", config.log.format)
     findings = asyncio.run(
@@ -69,9 +73,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _show(findings: Findings) -> None:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("what", no_wrap=True)
+    table.add_column("check", no_wrap=True)
     table.add_column("")
-    table.add_column("found, what is needed, what to set")
+    table.add_column("found, needed, advice")
     area = ""
     for finding in findings.all:
         if area and finding.area != area:
@@ -87,5 +91,5 @@ def _show(findings: Findings) -> None:
         )
     console().print(table)
     missing, warnings, fine = (findings.count(v) for v in (Verdict.MISSING, Verdict.WARNING, Verdict.OK))
-    verdict = "nothing speaks against a mission" if findings.exit_code == 0 else "no mission can be flown like this"
+    verdict = "ready for a mission" if findings.exit_code == 0 else "not ready for a mission"
     print(f"{missing} missing, {warnings} warning{'' if warnings == 1 else 's'}, {fine} ok: {verdict}")

@@ -1,13 +1,13 @@
-"""Fly a whole mission on a simulated vehicle: plan, point, expose, judge, retake, prove.
+"""Fly a complete mission on a simulated vehicle: plan, point, expose, check, retake, certify.
 
-The simulated drone (the embedded one, or ArduPilot's SITL with our payload) is a process of its own that speaks MAVLink
-over UDP; on this side runs exactly what flies a real one. The mission directory is DIR/missions/ID: plan, manifest,
-journal, photos. Exit code 1: the panorama is incomplete.
+The simulated vehicle (the embedded one, or ArduPilot SITL with a simulated payload) runs in a separate process and
+communicates by MAVLink over UDP. The mission is executed by the same code as on a real vehicle. The mission directory
+DIR/missions/ID contains plan, manifest, journal and photos. Exit code 1: the panorama is incomplete.
 
 Examples:
   panoexec dry-run --camera dji-x5s-15mm --overlap 0.15 --elevation -90 30
-  panoexec dry-run --fault drift=0.3 --speedup 10        retakes happen, and end accepted
-  panoexec dry-run --resume missions/ID                  go on after Ctrl-C
+  panoexec dry-run --fault drift=0.3 --speedup 10        some shots drift and are retaken
+  panoexec dry-run --resume missions/ID                  resume after Ctrl-C
 """
 
 from __future__ import annotations
@@ -46,61 +46,69 @@ from panoexec.sim.options import add_vehicle_arguments, camera_of, config_of
 from panoexec.sim.photos.scene import load_scene
 
 _MAX_PAUSE_S = 60.0
-"""Nobody is there to say `resume`: what holds a dry-run for longer ends it (it can be resumed)."""
+"""A dry-run that is paused for longer ends, because no operator sends `resume` (it can be resumed later)."""
 _NOSE_RATE_DEG_S = 5.0
-"""Where the vehicle pans, the camera is as still as its nose."""
+"""Rate limit while settling where the vehicle pans: the camera is only as steady as the vehicle's heading."""
 _NOSE_PATIENCE_S = 10.0
-"""Likewise: room for corrections of the heading, and for gusts."""
+"""Settle timeout where the vehicle pans: allows for heading corrections and gusts."""
 _EXIT = {MissionState.COMPLETE: 0, MissionState.FAILED: 3}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verb's options."""
+    """Declare the command's options."""
     mission = parser.add_argument_group("mission")
-    mission.add_argument("--plan", type=Path, metavar="PLAN.json", help="fly this plan instead of computing one")
-    mission.add_argument("--resume", type=Path, metavar="MISSION_DIR", help="go on with an interrupted dry-run")
-    mission.add_argument("--output", type=Path, default=Path(), metavar="DIR", help="missions go to DIR/missions (.)")
-    mission.add_argument("--reference", choices=("north", "heading"), default="north", help="yaw 0 of the plan (north)")
-    mission.add_argument("--accept", choices=("tolerance", "overlap"), default="tolerance", help="what counts as good")
+    mission.add_argument("--plan", type=Path, metavar="PLAN.json", help="plan file to fly instead of computing a plan")
+    mission.add_argument("--resume", type=Path, metavar="MISSION_DIR", help="resume an interrupted dry-run")
+    mission.add_argument(
+        "--output", type=Path, default=Path(), metavar="DIR", help="write missions to DIR/missions (.)"
+    )
+    mission.add_argument(
+        "--reference", choices=("north", "heading"), default="north", help="direction of the plan's yaw 0 (north)"
+    )
+    mission.add_argument(
+        "--accept", choices=("tolerance", "overlap"), default="tolerance", help="acceptance rule (tolerance)"
+    )
     mission.add_argument("--no-images", action="store_true", help="do not render the photos")
-    mission.add_argument("--verbose", action="store_true", help="log what the links and devices say, on stderr")
-    mission.add_argument("--json", action="store_true", help="one JSON document on stdout: the summary")
+    mission.add_argument("--verbose", action="store_true", help="log messages of links and devices to stderr")
+    mission.add_argument("--json", action="store_true", help="print the summary as one JSON document on stdout")
     add_camera_arguments(parser, required=False)
     add_constraint_arguments(parser)
     add_gimbal_arguments(parser)
     add_method_arguments(parser)
     add_vehicle_arguments(parser)
-    sitl = parser.add_argument_group("on ArduPilot's own software, instead of the embedded vehicle (docs/sitl.md)")
+    sitl = parser.add_argument_group("ArduPilot SITL instead of the embedded vehicle (docs/sitl.md)")
     sitl.add_argument(
         "--sitl",
         nargs="?",
         const="",
         metavar="BINARY",
-        help="start this ArduCopter SITL (or $ARDUPILOT_SITL), fly it to 30 m, take the panorama, land",
+        help="start this ArduCopter SITL binary (or $ARDUPILOT_SITL), climb to 30 m, take the panorama, land",
     )
     sitl.add_argument(
         "--sitl-connect",
         metavar="URL",
-        help="a SITL or bench vehicle that runs already, like udpin://0.0.0.0:14550; it is never armed or flown",
+        help="connect to a running SITL or bench vehicle, e.g. udpin://0.0.0.0:14550; it is never armed or flown",
     )
     sitl.add_argument(
-        "--attach", metavar="URL", help="with --sitl-connect: join the simulated payload there, like tcp:127.0.0.1:5762"
+        "--attach",
+        metavar="URL",
+        help="with --sitl-connect: attach the simulated payload to this port, e.g. tcp:127.0.0.1:5762",
     )
     parser.set_defaults(host="127.0.0.1", port=None, listen=False, on_ground=False)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fly, with a live view, and sum up."""
+    """Fly the mission with a live view and print the summary."""
     for package in ("pymavlink", "PIL"):
         if importlib.util.find_spec(package) is None:
             raise DependencyError(f"`dry-run` needs the Python package {package}: {to_install('sim')}")
     configure_logs("debug" if args.verbose else "warning", "human")
     if args.scene:
-        load_scene(args.scene)  # refused here, before any work
+        load_scene(args.scene)  # a bad scene is reported before any work
     if args.sitl is not None and args.sitl_connect:
-        raise UsageError("--sitl and --sitl-connect exclude each other: start a SITL, or use one that runs")
+        raise UsageError("--sitl and --sitl-connect exclude each other: start a SITL, or connect to a running one")
     if args.attach and not args.sitl_connect:
-        raise UsageError("--attach goes with --sitl-connect; --sitl attaches the payload by itself")
+        raise UsageError("--attach requires --sitl-connect; --sitl attaches the payload automatically")
     _check_storage(args.output)
     view = MissionView(live=not args.json)
     if args.resume:
@@ -126,7 +134,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 async def _until_done(flight: Callable[[], Coroutine[Any, Any, DryRunSummary]]) -> DryRunSummary:
-    """Fly; SIGTERM stops as Ctrl-C does."""
+    """Fly the mission; SIGTERM stops it as Ctrl-C does."""
     task = asyncio.create_task(flight(), name="dry-run")
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -168,7 +176,7 @@ def _options(args: argparse.Namespace) -> DryRunOptions:
 
 
 def _simulated_pan(args: argparse.Namespace) -> list[str]:
-    """The pan range of the simulated gimbal, where the vehicle is to make up for it."""
+    """Settings that limit the pan range of the simulated gimbal where the vehicle pans."""
     pan = args.gimbal_pan or ((0.0, 0.0) if args.yaw == "vehicle" else None)
     if pan is None or args.yaw == "gimbal":
         return []
@@ -183,7 +191,11 @@ def _spec(args: argparse.Namespace) -> PlanSpec:
 
 
 def _check_storage(path: Path) -> None:
-    """Refuse before any work a folder that missions could not be written to."""
+    """Check before any work that missions can be written to the folder.
+
+    Raises:
+        UsageError: the path is not a folder or is not writable.
+    """
     existing = next(parent for parent in (path.absolute(), *path.absolute().parents) if parent.exists())
     if not existing.is_dir():
         raise UsageError(f"--output {path}: {existing} is not a folder")
@@ -192,4 +204,4 @@ def _check_storage(path: Path) -> None:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise UsageError(f"--output {path}: cannot be written ({error.strerror}): name a writable folder") from error
+        raise UsageError(f"--output {path}: cannot be written ({error.strerror}): give a writable folder") from error

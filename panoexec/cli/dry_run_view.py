@@ -1,4 +1,4 @@
-"""The live view of a dry-run, and its summary."""
+"""The live view and the summary of a dry-run."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
 
 REFRESH_HZ = 4.0
 ROOM_LINES = 6
-"""Lines that a terminal must have beside the map: legend, bar, and some of what happened."""
+"""Minimum number of terminal lines besides the map: legend, progress bar and some event lines."""
 
 
 class MissionView:
-    """On a terminal a map of the sphere with a progress bar, a line for each verdict otherwise; all on stderr.
+    """A map of the sphere with a progress bar on a terminal, one line per verdict otherwise; always on stderr.
 
-    A context manager: the picture is alive inside it.
+    A context manager: the live view is displayed inside it.
 
     Args:
-        live: whether a terminal gets a picture; programs that read the result get lines all the same.
-        out: where to draw; None: stderr, if that is a terminal.
+        live: whether to draw the live view on a terminal; event lines are printed in either case.
+        out: console to draw on; None: stderr, if it is a terminal.
     """
 
     def __init__(self, *, live: bool = True, out: Console | None = None) -> None:
@@ -68,16 +68,16 @@ class MissionView:
             self._live.stop()
 
     def expect(self, plan: Plan) -> None:
-        """Show a plan before the mission begins."""
+        """Show a plan before the mission starts."""
         self._plan, self._shots = plan, list(plan.shots)
 
     def on_mission(self, mission: Mission) -> None:
-        """Take the mission, for a look at its live state."""
+        """Keep the mission to read its live state."""
         self._mission, self._plan = mission, mission.plan
         self._look(mission)
 
     def picture(self) -> RenderableType:
-        """What a terminal shows now: the map, if there is room for it, above the bar. Called by a thread of its own."""
+        """The current frame: the map, if there is room for it, above the bar. Called from rich's refresh thread."""
         from rich.console import Group  # noqa: PLC0415
 
         assert self._progress is not None
@@ -92,27 +92,27 @@ class MissionView:
         return Group(self._drawn[1], self._progress.get_renderable())
 
     def _look(self, mission: Mission) -> None:
-        """Take what the map shows from the mission's record, which changes only on the event loop."""
+        """Copy the marks from the mission's record, which changes only on the event loop."""
         record = mission.record
         marks = marks_of(record)
         if marks != self._marks:
             self._shots, self._marks = [shot.shot for _, shot in sorted(record.shots.items())], marks
 
-    def on_event(self, event: ev.Event) -> None:  # noqa: C901  (one case a kind of event)
-        """Show what happened."""
+    def on_event(self, event: ev.Event) -> None:  # noqa: C901  (one case per event type)
+        """Show an event."""
         match event:
             case ev.ShotRejected():
                 self._line(f"shot {event.shot}, attempt {event.attempt}: rejected: {event.reason}")
             case ev.ShotAccepted() if self._progress is None:
                 self._line(f"shot {event.shot}, attempt {event.attempt}: accepted")
             case ev.ShotDeferred():
-                self._line(f"shot {event.shot}: put off until after the others: {event.reason}")
+                self._line(f"shot {event.shot}: deferred until after the other shots: {event.reason}")
             case ev.ShotMissed():
                 self._line(f"shot {event.shot}: given up: {event.reason}")
             case ev.MissionPaused():
                 self._line(f"paused: {event.reason}")
             case ev.MissionResumed():
-                self._line(f"goes on after {event.paused_s:.1f} s")
+                self._line(f"resumed after {event.paused_s:.1f} s")
             case ev.PreflightFailed():
                 self._line("preflight: " + "; ".join(event.problems))
             case ev.Warned():
@@ -127,7 +127,7 @@ class MissionView:
             self._progress.update(self._bar, completed=record.shots_done, total=record.shots_total)
 
     def note(self, text: str) -> None:
-        """Show what the simulation says."""
+        """Show a message of the simulation."""
         self._line(f"simulation: {text}")
 
     def _line(self, text: str) -> None:
@@ -138,7 +138,7 @@ class MissionView:
             self._live.console.print(text, markup=False, highlight=False)
 
     def _facts(self) -> str:
-        """Retakes, current error, time left."""
+        """Retakes, current pointing error, remaining time."""
         mission = self._mission
         if mission is None:
             return "connecting"
@@ -152,7 +152,7 @@ class MissionView:
 
 
 def show_summary(summary: DryRunSummary) -> None:
-    """The end of a dry-run, for a person."""
+    """Print the summary of a dry-run."""
     certificate, worst = summary.certificate, summary.worst
     facts = [
         ("mission", f"{summary.state}: {summary.reason}"),
@@ -167,13 +167,13 @@ def show_summary(summary: DryRunSummary) -> None:
             )
         )
     if summary.turns:
-        facts.append(("turns of the vehicle", str(summary.turns)))
+        facts.append(("vehicle turns", str(summary.turns)))
     facts.append(("evidence", ", ".join(f"{n} × {level}" for level, n in summary.evidence.items()) or "none"))
     if certificate is not None:
-        proof = "complete as flown" if certificate.uncovered_fraction == 0 else "it has holes"
+        proof = "complete as flown" if certificate.uncovered_fraction == 0 else "has holes"
         verdict = "certified" if certificate.certified else "not certified: " + "; ".join(certificate.failures)
         facts.append(("panorama", f"{proof}; {verdict}"))
-    if math.isfinite(summary.limit_ratio):  # not of a mission that was over before it began to shoot
+    if math.isfinite(summary.limit_ratio):  # not finite if the mission ended before the first shot
         limit = f"physical limit {summary.limit_s:.1f} s, ratio {summary.limit_ratio:.2f}"
         facts.append(("time", f"{summary.duration_s:.1f} s; {limit}"))
     facts += [
@@ -190,10 +190,10 @@ def _progress(live: object) -> Progress:
     from rich.text import Text  # noqa: PLC0415
 
     class Beside(ProgressColumn):
-        """Asks anew at every refresh."""
+        """Text that is evaluated at every refresh."""
 
         def render(self, task: Task) -> Text:
-            """What stands beside the bar now."""
+            """The current text next to the bar."""
             del task
             return Text(live() if callable(live) else "")
 
@@ -206,7 +206,7 @@ def _progress(live: object) -> Progress:
 
 
 def _error_deg(mission: Mission) -> float:
-    """Angle between where the camera looks now and where it should; NaN where unknown."""
+    """Angle between the current and the commanded boresight, degrees; NaN if unknown."""
     shooter, current = mission.shooter, mission.record.current
     if shooter is None or current is None:
         return math.nan

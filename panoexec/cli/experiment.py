@@ -1,19 +1,20 @@
-"""Repeat the paper's simulation case: plans photographed in a scene with pointing errors, stitched, and judged.
+"""Reproduce the paper's simulation: render the images of each plan with pointing errors, stitch and evaluate them.
 
-For each scenario of the paper: its published plans (proposed, HDRpano) and panoexec's certified plan for the same
-camera, band, overlaps and tolerances. Photos are rendered from a scene at a reduced width, with the paper's pointing
-errors (0.017° in roll and pitch, 0.667° in yaw), and stitched as `panoexec stitch` does; the stitcher is told where
-each image was aimed, not where it was taken. Completeness is equation (8). The table stands beside the paper's Table 2.
+For each scenario of the paper, the command evaluates the published plans (proposed, HDRpano) and panoexec's certified
+plan for the same camera, band, overlaps and tolerances. Photos are rendered from a scene at a reduced width, with the
+paper's pointing errors (0.017° in roll and pitch, 0.667° in yaw), and stitched as by `panoexec stitch`. The stitcher
+gets the commanded attitude of each image, not the true one. Completeness is equation (8). The table includes the values
+of the paper's Table 2.
 
 Needs Hugin's tools:  apt-get install hugin-tools
-Finished cases are kept in the output folder: an interrupted experiment goes on where it stopped.
+Finished cases are kept in the output folder; an interrupted experiment continues where it stopped.
 
 Exit code 1: a certified plan was not stitched completely.
 
 Examples:
-  panoexec experiment --scenario 1                          25, 28 and 21 images; minutes
+  panoexec experiment --scenario 1                          25, 28 and 21 images; takes minutes
   panoexec experiment --scenario all --plans certified --seeds 5
-  panoexec experiment --geometry --seeds 100                exact holes of 100 flights each, without Hugin
+  panoexec experiment --geometry --seeds 100                exact holes of 100 flights per plan, without Hugin
 """
 
 from __future__ import annotations
@@ -37,28 +38,43 @@ _FORMAT = "panoexec.experiment/1"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verb's options."""
-    parser.add_argument("--scenario", choices=("1", "2", "3", "all"), default="all", help="which of the paper's (all)")
+    """Declare the command's options."""
+    parser.add_argument("--scenario", choices=("1", "2", "3", "all"), default="all", help="scenario of the paper (all)")
     parser.add_argument(
-        "--plans", nargs="+", choices=_PLANS, default=list(_PLANS), metavar="PLAN", help="proposed, hdrpano, certified"
+        "--plans",
+        nargs="+",
+        choices=_PLANS,
+        default=list(_PLANS),
+        metavar="PLAN",
+        help="plans: proposed, hdrpano, certified (all)",
     )
-    parser.add_argument("--seeds", type=_count, default=1, metavar="N", help="runs with other pointing errors (1)")
-    parser.add_argument("--repeats", type=_count, default=1, metavar="N", help="runs with the same errors (1)")
+    parser.add_argument(
+        "--seeds", type=_count, default=1, metavar="N", help="number of runs with different pointing errors (1)"
+    )
+    parser.add_argument(
+        "--repeats", type=_count, default=1, metavar="N", help="number of runs with the same pointing errors (1)"
+    )
     parser.add_argument(
         "--errors",
         choices=("uniform", "normal"),
         default="uniform",
-        help="uniform within ± the paper's figures, as tolerances are meant, or normal with these deviations (uniform)",
+        help="error distribution: uniform within ± the paper's values, or normal with them as deviations (uniform)",
     )
     parser.add_argument(
-        "--geometry", action="store_true", help="do not stitch: exact holes in the ground where the photos were taken"
+        "--geometry",
+        action="store_true",
+        help="compute the exact holes at the true attitudes, without rendering or stitching",
     )
-    parser.add_argument("--width", type=_width, metavar="PX", help="width of the photos (640, 420, 520 by scenario)")
-    parser.add_argument("--scene", type=Path, metavar="EQUIRECT", help="a picture instead of the generated landscape")
-    parser.add_argument("--output", type=Path, default=Path("experiment"), metavar="DIR", help="results (experiment)")
-    parser.add_argument("--keep", action="store_true", help="keep photos and panoramas, not only previews")
-    parser.add_argument("--restart", action="store_true", help="forget the results of earlier runs")
-    parser.add_argument("--json", action="store_true", help="one JSON document on stdout")
+    parser.add_argument("--width", type=_width, metavar="PX", help="photo width (640, 420, 520 for scenarios 1, 2, 3)")
+    parser.add_argument(
+        "--scene", type=Path, metavar="EQUIRECT", help="equirectangular image instead of the generated landscape"
+    )
+    parser.add_argument(
+        "--output", type=Path, default=Path("experiment"), metavar="DIR", help="output folder (experiment)"
+    )
+    parser.add_argument("--keep", action="store_true", help="keep photos and panoramas as well as previews")
+    parser.add_argument("--restart", action="store_true", help="discard the results of earlier runs")
+    parser.add_argument("--json", action="store_true", help="print one JSON document on stdout")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -91,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _geometry(wanted: Sequence[Case], spread: Spread, *, as_json: bool) -> int:
-    """Fly without photos, and print what is left uncovered."""
+    """Compute and print the uncovered ground, without photos."""
     from panoexec.experiment.geometry import fly  # noqa: PLC0415
 
     found = fly(wanted, spread)
@@ -99,7 +115,7 @@ def _geometry(wanted: Sequence[Case], spread: Spread, *, as_json: bool) -> int:
         print_json({"format": _FORMAT, "errors": spread, "flights": [asdict(flights) for flights in found]})
     else:
         print_table(
-            "The ground in the photos where they were taken",
+            "Coverage of the ground at the true attitudes",
             ("scenario", "plan", "images", "flights", "complete", "most holes", "largest", "at elevation"),
             [
                 (
@@ -126,7 +142,7 @@ def _errors_text(spread: Spread) -> str:
 
 
 def _run(wanted: Sequence[Case], setting: Setting) -> list[Outcome]:
-    """Run under a progress bar on stderr; a line for each case that ends."""
+    """Run the cases with a progress bar on stderr and one line per case."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn  # noqa: PLC0415
 
     from panoexec.experiment.running import run_cases  # noqa: PLC0415
@@ -141,7 +157,7 @@ def _run(wanted: Sequence[Case], setting: Setting) -> list[Outcome]:
             if case not in begun:
                 begun.add(case)
                 bar.update(task, completed=len(begun) - 1)
-                out.print(f"{case.name}{': done before' if step == 'done' else ''}", markup=False, highlight=False)
+                out.print(f"{case.name}{': already done' if step == 'done' else ''}", markup=False, highlight=False)
             bar.update(task, description=f"{step} {100 * fraction:.0f} % {text}")
 
         outcomes = run_cases(wanted, setting, progress)
@@ -150,16 +166,16 @@ def _run(wanted: Sequence[Case], setting: Setting) -> list[Outcome]:
 
 
 def show(outcomes: Sequence[Outcome], spread: Spread) -> None:
-    """The table, beside the paper's."""
+    """Print the results next to the paper's Table 2."""
     from panoexec.experiment.running import merged  # noqa: PLC0415
 
     groups = merged(outcomes)
     columns = (
-        "scenario", "plan", "images", "Table 2", "completeness", "Table 2 ", "runs", "holes", "not tied",
-        "misalignment", "photo", "s a run",
+        "scenario", "plan", "images", "Table 2", "completeness", "Table 2 ", "runs", "holes", "unconnected",
+        "misalignment", "photo", "s per run",
     )  # fmt: skip
     print_table(
-        "The paper's simulation case (Table 2), stitched anew",
+        "The paper's simulation case (Table 2), reproduced",
         columns,
         [_row(group) for group in groups],
         left=("plan",),
@@ -198,7 +214,7 @@ def _row(group: Sequence[Outcome]) -> tuple[str, ...]:
 
 
 def _saved(outcome: Outcome) -> str:
-    """How many images fewer than published."""
+    """Relative difference to the published number of images."""
     from panoexec.experiment.cases import TABLE_2  # noqa: PLC0415
 
     if outcome.plan != "certified":
@@ -215,12 +231,12 @@ def _span(values: Sequence[int]) -> str:
 def _count(text: str) -> int:
     value = int(text) if text.isdecimal() else 0
     if not 1 <= value <= 1000:
-        raise argparse.ArgumentTypeError(f"{text}: accepted are 1 to 1000")
+        raise argparse.ArgumentTypeError(f"{text}: the accepted range is 1 to 1000")
     return value
 
 
 def _width(text: str) -> int:
     value = int(text) if text.isdecimal() else 0
     if not 128 <= value <= 20_000:
-        raise argparse.ArgumentTypeError(f"{text}: accepted are 128 to 20000 px")
+        raise argparse.ArgumentTypeError(f"{text}: the accepted range is 128 to 20000 px")
     return value

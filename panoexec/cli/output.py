@@ -1,4 +1,4 @@
-"""What verbs print: tables for people and one JSON document for programs on stdout; everything else on stderr."""
+"""Output of the commands: tables or one JSON document on stdout, everything else on stderr."""
 
 from __future__ import annotations
 
@@ -14,40 +14,40 @@ _FILE_WIDTH = 160
 
 
 def console(*, stderr: bool = False) -> Console:
-    """A rich console, imported only when something is shown to a person."""
+    """A rich console; rich is imported only when a console is needed."""
     from rich.console import Console  # noqa: PLC0415
 
     is_terminal = (sys.stderr if stderr else sys.stdout).isatty()
-    # a file or a pipe has no width: tables there are as wide as they like
+    # a file or a pipe has no width: use a fixed large one
     return Console(stderr=stderr, highlight=False, width=None if is_terminal else _FILE_WIDTH)
 
 
 def has_colours(out: Console) -> bool:
-    """Whether colours tell anything there: a terminal that knows some, and a person who has not set NO_COLOR."""
+    """Whether to draw in colour: the terminal supports colours and NO_COLOR is not set."""
     return out.color_system is not None and not out.no_color
 
 
 def print_json(document: object) -> None:
-    """Exactly one JSON document on stdout."""
+    """Print exactly one JSON document on stdout."""
     print(json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False))
 
 
 def note(text: str) -> None:
-    """A line for a person, on stderr."""
+    """Print one line of text on stderr."""
     print(text, file=sys.stderr)
 
 
 def print_table(
     title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], *, left: Iterable[str] = (), caption: str = ""
 ) -> None:
-    """A table on stdout.
+    """Print a table on stdout.
 
     Args:
-        title: above it.
+        title: text above the table.
         columns: headings; columns are right-aligned unless named in `left`.
-        rows: cells.
+        rows: cell texts.
         left: headings of left-aligned columns.
-        caption: below it.
+        caption: text below the table.
     """
     from rich import box  # noqa: PLC0415
     from rich.table import Table  # noqa: PLC0415
@@ -66,7 +66,7 @@ def print_table(
 
 
 def print_facts(facts: Iterable[tuple[str, str]]) -> None:
-    """Aligned lines `name   value` on stdout."""
+    """Print aligned lines `name   value` on stdout."""
     listed = list(facts)
     width = max((len(name) for name, _ in listed), default=0) + 2
     for name, value in listed:
@@ -74,12 +74,12 @@ def print_facts(facts: Iterable[tuple[str, str]]) -> None:
 
 
 def percent(fraction: float | None, digits: int = 1) -> str:
-    """A fraction as a percentage, `-` for none."""
+    """A fraction as a percentage, `-` for None."""
     return "-" if fraction is None else f"{100 * fraction:.{digits}f} %"
 
 
 def completeness(fraction: float) -> str:
-    """A completeness (equation 8) as a percentage, never 100 % by rounding."""
+    """A completeness (equation 8) as a percentage; a fraction below 1 is never rounded to 100 %."""
     digits = 2
     while fraction < 1 and round(100 * fraction, digits) >= 100 and digits < 9:
         digits += 1

@@ -1,7 +1,7 @@
-"""Compute the gimbal poses that cover a panorama, with proof.
+"""Compute the gimbal poses that cover a panorama, with a certificate.
 
-The default method searches for the fewest images whose coverage survives every pointing error within the tolerances,
-and says so in a certificate. Exit code 1: there is a plan, but it is not certified.
+The default method searches for the smallest number of images whose coverage holds for all pointing errors within the
+tolerances. The certificate states the result. Exit code 1: a plan was found, but it is not certified.
 
 Example:
   panoexec plan --camera dji-x5s-15mm --overlap 0.15 --elevation -90 30 --output plan.json --plot plan.png
@@ -39,33 +39,41 @@ _DISTANCES_M = (10.0, 50.0, 100.0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verb's options."""
+    """Declare the command's options."""
     add_camera_arguments(parser, required=True)
     add_constraint_arguments(parser)
     add_gimbal_arguments(parser)
     add_method_arguments(parser)
     budget = parser.add_argument_group("budget")
-    budget.add_argument("--max-images", type=count, metavar="N", help="refuse a plan with more images")
-    budget.add_argument("--max-duration", type=positive, metavar="S", help="refuse a plan that takes longer")
-    budget.add_argument("--fit", action="store_true", help="when refused, say which overlap or band would fit")
+    budget.add_argument("--max-images", type=count, metavar="N", help="maximum number of images")
+    budget.add_argument("--max-duration", type=positive, metavar="S", help="maximum duration of the mission (s)")
+    budget.add_argument(
+        "--fit", action="store_true", help="if a maximum is exceeded, suggest an overlap or elevation range that fits"
+    )
     output = parser.add_argument_group("output")
     output.add_argument("--output", type=Path, metavar="PLAN.json", help="write the plan file")
-    output.add_argument("--plot", type=Path, metavar="FILE.png|.svg", help="draw the footprints on the sphere's map")
+    output.add_argument(
+        "--plot", type=Path, metavar="FILE.png|.svg", help="plot the image footprints on a map of the sphere"
+    )
     output.add_argument(
         "--export",
         action="append",
         default=[],
         metavar="FORMAT=FILE",
-        help=f"write the plan for another program: {', '.join(FORMATS)} (repeatable)",
+        help=f"export the plan for another program: {', '.join(FORMATS)} (repeatable)",
     )
     output.add_argument(
-        "--distance", type=positive, nargs="+", metavar="M", help="distances for the ground resolution (10 50 100)"
+        "--distance",
+        type=positive,
+        nargs="+",
+        metavar="M",
+        help="distances in m at which ground resolution is printed (10 50 100)",
     )
-    output.add_argument("--json", action="store_true", help="one JSON document on stdout, the plan file's")
+    output.add_argument("--json", action="store_true", help="print the plan file as one JSON document on stdout")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Plan, write what was asked for, show it."""
+    """Compute the plan, write the requested files and print the plan."""
     exports = [_export_target(text) for text in args.export]
     check_targets([args.output, args.plot, *(path for _, path in exports)])
     if args.plot:
@@ -91,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def show_plan(plan: Plan, profile: CameraProfile, distances_m: Sequence[float]) -> None:
-    """Rows, certificate, cost and size of a plan, for a person."""
+    """Print rows, certificate, duration and size of a plan."""
     camera = plan.camera
     fov = f"{camera.hfov_deg:.2f}° × {camera.vfov_deg:.2f}°"
     print(f"{len(plan.shots)} images of {camera.name} ({fov}, {profile.orientation}), method {plan.method}")
@@ -130,15 +138,19 @@ def show_plan(plan: Plan, profile: CameraProfile, distances_m: Sequence[float]) 
 
 
 def certificate_facts(certificate: Certificate) -> list[tuple[str, str]]:
-    """A certificate as lines for a person."""
-    graph = "two-edge-connected" if certificate.two_edge_connected else "connected, but a single link holds a part"
+    """A certificate as labelled lines of text."""
+    graph = (
+        "two-edge-connected"
+        if certificate.two_edge_connected
+        else "connected, but one image pair is a single point of failure"
+    )
     facts = [
         ("certificate", "CERTIFIED" if certificate.certified else "NOT CERTIFIED"),
         (
             "coverage",
-            "proven for every error within the tolerances"
+            "proven for all errors within the tolerances"
             if certificate.uncovered_fraction == 0
-            else f"{percent(certificate.uncovered_fraction, 4)} of the band is not sure to be covered",
+            else f"{percent(certificate.uncovered_fraction, 4)} of the band is not proven to be covered",
         ),
         (
             "overlap in rows",
@@ -148,7 +160,7 @@ def certificate_facts(certificate: Certificate) -> list[tuple[str, str]]:
             "overlap of rows",
             f"at least {percent(certificate.min_overlap_v)} (worst case {percent(certificate.worst_overlap_v)})",
         ),
-        ("images' graph", graph if certificate.connected else "not connected"),
+        ("image graph", graph if certificate.connected else "not connected"),
     ]
     facts += [("  fails", failure) for failure in certificate.failures]
     facts += [
@@ -164,7 +176,7 @@ def certificate_facts(certificate: Certificate) -> list[tuple[str, str]]:
 def _check_budget(args: argparse.Namespace, plan: Plan, plan_with: Callable[[Constraints], Plan]) -> None:
     limits = {"max_images": args.max_images, "max_duration_s": args.max_duration}
     if budget_problems(plan, **limits):
-        hint = "--fit says which overlap or band would fit"
+        hint = "--fit suggests an overlap or elevation range that fits"
         if args.fit:
             hint = what_would_fit(plan.constraints, plan_with, **limits)
         check_budget(plan, **limits, hint=hint)
@@ -178,11 +190,11 @@ def _export_target(text: str) -> tuple[str, Path]:
 
 
 def check_targets(paths: Sequence[Path | None]) -> None:
-    """Refuse before any work what could not be written after it."""
+    """Check before any work that the output files can be written."""
     for path in paths:
         if path is None:
             continue
         if path.is_dir():
-            raise UsageError(f"{path} is a folder: name a file in it")
+            raise UsageError(f"{path} is a folder: give the name of a file")
         if not path.parent.is_dir():
-            raise UsageError(f"{path}: there is no folder {path.parent}: create it first")
+            raise UsageError(f"{path}: folder {path.parent} does not exist: create it first")

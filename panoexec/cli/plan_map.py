@@ -1,6 +1,6 @@
-"""Pictures of plans: an equirectangular map of the sphere with every image outlined and coverage shaded.
+"""Plots of plans: an equirectangular map of the sphere with outlined image footprints and shaded coverage.
 
-matplotlib is an optional dependency and slow to import, so it is imported when a picture is asked for.
+matplotlib is an optional dependency and slow to import; it is imported only when a plot is requested.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ _LINE_CHARACTERS: Final = 130
 _SCALE_PLACE: Final = (0.948, 0.25, 0.012, 0.5)
 
 _COUNT_COLOURS: Final = ("#ffffff", "#e3eef8", "#c3dbef", "#9cc4e4", "#73aad6", "#4d8fc6", "#3274b1")
-"""Coverage by 0, 1, 2, … images; the last is for all higher counts."""
+"""Colours for coverage by 0, 1, 2, … images; the last one also stands for all higher counts."""
 _GAP, _OUTSIDE, _MASK = "#f4511e", "#8a8f98", "#5c6370"
 _INK, _ROW_COLOURS = "#20252d", ("#0b4f8a", "#00796b")
 _WEAK_H, _WEAK_V, _BRIDGE, _ROUTE = "#c2185b", "#7b1fa2", "#e65100", "#37474f"
 
 
 def check_plot_path(path: Path) -> None:
-    """Refuse a file name that no picture can be written to, before any work is done.
+    """Check before any work that a plot can be written to a file name.
 
     Raises:
-        UsageError: another suffix than .png or .svg.
+        UsageError: the suffix is not .png or .svg.
         DependencyError: matplotlib is not installed.
     """
     if path.suffix.lower() not in SUFFIXES:
@@ -53,23 +53,23 @@ def check_plot_path(path: Path) -> None:
 def plot_plan(
     plan: Plan, path: Path, *, show_route: bool = False, title: str | None = None, dots_per_inch: int = 150
 ) -> None:
-    """Draw a plan: footprints, coverage, rows, and what the certificate found wanting.
+    """Plot a plan: footprints, coverage, rows, and the failures of its certificate.
 
     Args:
-        plan: what to draw.
-        path: picture to write, .png or .svg by its suffix.
+        plan: plan to plot.
+        path: file to write; the suffix .png or .svg selects the format.
         show_route: whether to draw the shooting order.
-        title: heading instead of one made from the plan.
+        title: heading instead of the default one.
         dots_per_inch: resolution of a PNG of 12.8 x 7.2 inches.
 
     Raises:
-        UsageError: a bad suffix, or the file cannot be written.
+        UsageError: the suffix is not supported, or the file cannot be written.
         DependencyError: matplotlib is not installed.
     """
     check_plot_path(path)
     figure = plan_figure(plan, show_route=show_route, title=title)
     suffix = path.suffix.lower()[1:]
-    # no date and fixed ids: the same plan gives the same file
+    # no date and fixed ids, so that the same plan gives the same file
     metadata = {"Date": None} if suffix == "svg" else None
     with _matplotlib("").rc_context({"svg.hashsalt": "panoexec", "svg.fonttype": "none"}):
         write_atomically_with(
@@ -79,12 +79,12 @@ def plot_plan(
 
 
 def plan_figure(plan: Plan, *, show_route: bool = False, title: str | None = None) -> Figure:
-    """The drawing itself, as a matplotlib figure.
+    """The plot as a matplotlib figure.
 
     Args:
-        plan: what to draw.
+        plan: plan to plot.
         show_route: whether to draw the shooting order.
-        title: heading instead of one made from the plan.
+        title: heading instead of the default one.
 
     Raises:
         DependencyError: matplotlib is not installed.
@@ -134,7 +134,7 @@ def _degrees(angle: float, form: str = "g") -> str:
 
 
 def _shade_coverage(figure: Figure, axes: Axes, plan: Plan, width: int = 1440) -> None:
-    """Colour the map by the number of images, gaps of the band apart; dim what was not asked for."""
+    """Colour the map by number of images, mark gaps in the band, and dim directions outside the band."""
     colors = _matplotlib("colors")
     count = coverage_count(plan.camera, plan.rotations(), width)
     band = box_mask(plan.constraints.band, width)
@@ -146,7 +146,7 @@ def _shade_coverage(figure: Figure, axes: Axes, plan: Plan, width: int = 1440) -
     picture[~band] = 0.72 * picture[~band] + 0.28 * np.array(colors.to_rgb("#e9ebee"))
     picture[band & (count == 0)] = colors.to_rgb(_GAP)
     axes.imshow(picture, extent=(-180, 180, -90, 90), interpolation="nearest", zorder=0)
-    _outline_box(axes, plan.constraints.band, _OUTSIDE, "band asked for")
+    _outline_box(axes, plan.constraints.band, _OUTSIDE, "requested band")
     for number, mask in enumerate(plan.constraints.masks):
         _outline_box(axes, mask, _MASK, "masked" if number == 0 else None, hatch="////")
     scale = _matplotlib("cm").ScalarMappable(
@@ -162,7 +162,7 @@ def _shade_coverage(figure: Figure, axes: Axes, plan: Plan, width: int = 1440) -
 
 
 def _outline_box(axes: Axes, box: Band | AngleBox, colour: str, label: str | None, hatch: str | None = None) -> None:
-    """Outline a box of directions, in two parts where it crosses the map's border."""
+    """Outline a box of directions, in two parts if it crosses the border of the map."""
     patches = _matplotlib("patches")
     left = (box.azimuth_min_deg + 180) % 360 - 180
     span = min(360.0, box.azimuth_max_deg - box.azimuth_min_deg)
@@ -179,13 +179,13 @@ def _outline_box(axes: Axes, box: Band | AngleBox, colour: str, label: str | Non
 
 
 def on_map(vectors: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """A path of world directions as a polyline on the map, cut where it crosses the back.
+    """A path of world directions as a polyline on the map, cut where it crosses azimuth ±180°.
 
     Args:
         vectors: (n, 3), neighbours less than 180° apart in azimuth.
 
     Returns:
-        Azimuths and elevations, degrees; NaN breaks the line between the two points put on the map's border.
+        Azimuths and elevations, degrees; a NaN separates the two points added on the border of the map.
     """
     elevation, azimuth = elevation_azimuth(vectors)
     jump = np.diff(azimuth)
@@ -220,7 +220,7 @@ def _outline_images(axes: Axes, plan: Plan) -> None:
             markersize=5 if len(plan.shots) < 80 else 3.4, zorder=6, clip_on=False,
         )  # fmt: skip
         axes.plot([-180, 180], [pitch, pitch], color=colour, linewidth=0.6, alpha=0.35, linestyle=":", zorder=3)
-        # rows of a dense plan are closer than two lines of text
+        # in dense plans the row spacing is smaller than a line of text
         axes.annotate(
             f"{_degrees(pitch, '+.1f')}  ×{len(shots)}", (180, pitch), xytext=(5, 0), textcoords="offset points",
             va="center", fontsize=8.5 if len(rows) < 14 else 7, color=colour, annotation_clip=False,
@@ -228,7 +228,7 @@ def _outline_images(axes: Axes, plan: Plan) -> None:
 
 
 def _draw_route(axes: Axes, plan: Plan) -> None:
-    """The shooting order, as straight lines on the map: what the gimbal's two axes do."""
+    """Draw the shooting order as straight lines on the map, which are the motions of pitch and yaw axes."""
     yaw = np.array([s.yaw_deg for s in plan.shots])
     pitch = np.array([s.pitch_deg for s in plan.shots])
     style: dict[str, Any] = {"color": _ROUTE, "linewidth": 1.1, "alpha": 0.75, "zorder": 5}
@@ -256,7 +256,7 @@ def _mark_weaknesses(axes: Axes, plan: Plan, certificate: Certificate) -> None:
         between = ends[0] + np.linspace(0, 1, 64)[:, None] * (ends[1] - ends[0])
         axes.plot(
             *on_map(between), color=_BRIDGE, linewidth=2.4, linestyle="--", zorder=7,
-            label="only link of a part (bridge)" if number == 0 else None,
+            label="single connecting pair (bridge)" if number == 0 else None,
         )  # fmt: skip
     if certificate.holes:
         count = len(certificate.holes)
@@ -294,7 +294,7 @@ def _headings(plan: Plan) -> tuple[str, str]:
         parts.append(f"azimuth {_degrees(band.azimuth_min_deg)} to {_degrees(band.azimuth_max_deg)}")
     parts.append(f"method {plan.method}")
     if certificate is not None and certificate.uncovered_fraction > 0:
-        parts.append(f"{certificate.uncovered_fraction:.2%} not sure to be covered")
+        parts.append(f"{certificate.uncovered_fraction:.2%} not proven to be covered")
     tau = constraints.tolerance
     if not tau.is_zero:
         errors = f"±{tau.pitch_deg:g}° pitch, ±{tau.roll_deg:g}° roll, ±{tau.yaw_deg:g}° yaw"

@@ -70,10 +70,13 @@ def add_camera_arguments(parser: argparse.ArgumentParser, *, required: bool) -> 
     """`--camera` and what can be changed of it."""
     group = parser.add_argument_group("camera")
     group.add_argument(
-        "--camera", required=required, metavar="NAME|FILE.toml", help="a profile (`panoexec cameras`) or a profile file"
+        "--camera",
+        required=required,
+        metavar="NAME|FILE.toml",
+        help="camera profile: a name (`panoexec cameras`) or a file",
     )
-    group.add_argument("--orientation", choices=("landscape", "portrait"), help="how it is mounted")
-    group.add_argument("--focal-length", type=positive, metavar="MM", help="for zooms: within the profile's range")
+    group.add_argument("--orientation", choices=("landscape", "portrait"), help="mounting orientation")
+    group.add_argument("--focal-length", type=positive, metavar="MM", help="focal length of a zoom lens (mm)")
 
 
 def add_constraint_arguments(parser: argparse.ArgumentParser, *, of_file: bool = False) -> None:
@@ -86,24 +89,36 @@ def add_constraint_arguments(parser: argparse.ArgumentParser, *, of_file: bool =
     first = "the file's, else " if of_file else ""
     group = parser.add_argument_group("panorama (angles in degrees: elevation -90 = nadir, azimuth clockwise)")
     group.add_argument(
-        "--overlap", type=number, metavar="F", help=f"least overlap, a fraction of the image ({first}{DEFAULT_OVERLAP})"
-    )
-    group.add_argument("--overlap-h", type=number, metavar="F", help="of neighbours in a row, instead of --overlap")
-    group.add_argument("--overlap-v", type=number, metavar="F", help="of neighbouring rows, instead of --overlap")
-    group.add_argument(
-        "--elevation", type=number, nargs=2, metavar=("MIN", "MAX"), help=f"band to cover ({first}-90 30)"
+        "--overlap", type=number, metavar="F", help=f"minimum overlap, fraction of the image ({first}{DEFAULT_OVERLAP})"
     )
     group.add_argument(
-        "--azimuth", type=number, nargs=2, metavar=("MIN", "MAX"), help=f"sector to cover ({first}the full circle)"
+        "--overlap-h",
+        type=number,
+        metavar="F",
+        help="horizontal overlap: overlap of neighbouring images in a row (fraction); overrides --overlap",
+    )
+    group.add_argument(
+        "--overlap-v",
+        type=number,
+        metavar="F",
+        help="vertical overlap: overlap of an image with the neighbouring row (fraction); overrides --overlap",
+    )
+    group.add_argument(
+        "--elevation", type=number, nargs=2, metavar=("MIN", "MAX"), help=f"elevation range to cover ({first}-90 30)"
+    )
+    group.add_argument(
+        "--azimuth", type=number, nargs=2, metavar=("MIN", "MAX"), help=f"azimuth range to cover ({first}full circle)"
     )
     for axis in ("pitch", "roll", "yaw"):
         default = getattr(DEFAULT_TOLERANCE, f"{axis}_deg")
         nose = f"; {NOSE_TOLERANCE_DEG:g} with --yaw vehicle" if axis == "yaw" and not of_file else ""
         group.add_argument(
-            f"--tolerance-{axis}", type=number, metavar="DEG", help=f"largest {axis} error ({first}{default:g}{nose})"
+            f"--tolerance-{axis}", type=number, metavar="DEG", help=f"maximum {axis} error ({first}{default:g}{nose})"
         )
     group.add_argument(
-        "--guarantee", choices=("coverage", "all"), help="what holds for every error: coverage, or the overlaps too"
+        "--guarantee",
+        choices=("coverage", "all"),
+        help="conditions that hold for all errors within tolerance: coverage only, or also the overlaps",
     )
     group.add_argument(
         "--mask",
@@ -111,35 +126,35 @@ def add_constraint_arguments(parser: argparse.ArgumentParser, *, of_file: bool =
         nargs=4,
         action="append",
         metavar=("E_MIN", "E_MAX", "A_MIN", "A_MAX"),
-        help="directions that need no coverage, such as the landing gear (repeatable)",
+        help="region that needs no coverage, for example the landing gear (repeatable)",
     )
 
 
 def add_gimbal_arguments(parser: argparse.ArgumentParser) -> None:
-    """Where the gimbal can point and how fast."""
+    """Range and angular rates of the gimbal."""
     group = parser.add_argument_group("gimbal")
     group.add_argument("--gimbal-pitch", type=number, nargs=2, metavar=("MIN", "MAX"), help="pitch limits (-90 90)")
     group.add_argument(
-        "--gimbal-pan", type=number, nargs=2, metavar=("MIN", "MAX"), help="pan limits with end stops (endless)"
+        "--gimbal-pan", type=number, nargs=2, metavar=("MIN", "MAX"), help="pan limits (continuous rotation)"
     )
     group.add_argument(
         "--yaw",
         choices=("gimbal", "vehicle", "auto"),
         default="gimbal",
-        help="who pans: gimbal, vehicle (two-axis gimbals), or auto: the vehicle where the gimbal cannot (gimbal)",
+        help="axis that pans: gimbal, vehicle (two-axis gimbals), or auto: vehicle beyond the gimbal's range (gimbal)",
     )
     group.add_argument(
-        "--gimbal-rate", type=positive, nargs=2, metavar=("PITCH", "YAW"), help="degrees a second (60 90)"
+        "--gimbal-rate", type=positive, nargs=2, metavar=("PITCH", "YAW"), help="maximum angular rates in °/s (60 90)"
     )
 
 
 def add_method_arguments(parser: argparse.ArgumentParser) -> None:
     """How the plan is made."""
     group = parser.add_argument_group("method")
-    group.add_argument("--method", choices=METHODS, help="planner (certified)")
-    group.add_argument("--columns", type=count, metavar="N", help="for hdrpano: images at the horizon")
-    group.add_argument("--rows", type=count, metavar="N", help="for hdrpano: rows")
-    group.add_argument("--order", choices=ORDERS, help="order of shooting (fastest)")
+    group.add_argument("--method", choices=METHODS, help="planning method (certified)")
+    group.add_argument("--columns", type=count, metavar="N", help="hdrpano: number of images at the horizon")
+    group.add_argument("--rows", type=count, metavar="N", help="hdrpano: number of rows")
+    group.add_argument("--order", choices=ORDERS, help="shooting order (fastest)")
 
 
 def profile_of(args: argparse.Namespace) -> CameraProfile:

@@ -1,11 +1,11 @@
-"""Write the report of a mission: one HTML page that opens in any browser, without a network.
+"""Write the report of a mission as one HTML page that opens in any browser without network access.
 
-The page (MISSION_DIR/report.html) shows the sphere map of what was taken, coverage and certificate, every attempt's
-pointing error, retakes and their reasons, where the time went, the battery, and the panorama: the stitched one after
-`panoexec stitch`, else a quick look made from the photos by their measured attitudes. Every mission writes it at its
-end; run this after copying photos from the camera, or after stitching.
+The page (MISSION_DIR/report.html) shows the sphere map of the photos, coverage and certificate, the pointing error of
+every attempt, retakes with their reasons, a time breakdown, the battery, and the panorama: the stitched panorama after
+`panoexec stitch`, otherwise a preview rendered from the photos and their measured attitudes. Every mission writes the
+report at its end. Run this command after copying photos from the camera or after stitching.
 
-Exit code 1: the mission has no accepted photo, or some photos are missing or damaged; the page is written all the same.
+Exit code 1: the mission has no accepted photo, or photos are missing or damaged. The page is written nevertheless.
 
 Example:
   panoexec report missions/20260921T141320.000Z
@@ -24,13 +24,15 @@ _SHOWN = 8
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verb's options."""
-    parser.add_argument("mission", type=Path, metavar="MISSION_DIR", help="the mission's directory")
-    parser.add_argument("--json", action="store_true", help="one JSON document on stdout: where the page is, problems")
+    """Declare the command's options."""
+    parser.add_argument("mission", type=Path, metavar="MISSION_DIR", help="mission directory")
+    parser.add_argument(
+        "--json", action="store_true", help="print the path of the page and the problems as one JSON document on stdout"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the page and say where it is."""
+    """Write the page and print its path."""
     directory = existing_mission_directory(args.mission)
     report = write_report(directory)
     _explain(report, directory.images)
@@ -59,6 +61,6 @@ def _explain(report: Report, images: Path) -> None:
     if len(report.problems) > _SHOWN:
         note(f"… and {len(report.problems) - _SHOWN} more")
     if any(photo.problem == "is missing" for _, photo in report.problems):
-        note(f"copy missing photos from the camera into {images} and run this again")
+        note(f"copy missing photos from the camera into {images} and run this command again")
     if report.photos and not report.panorama:
-        note(f"no picture of the sphere: {report.why_none}")
+        note(f"no panorama: {report.why_none}")

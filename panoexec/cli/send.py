@@ -1,7 +1,7 @@
-"""Ask a vehicle for something by MQTT and show its answer.
+"""Send a request to a vehicle over MQTT and show the response.
 
-Fields are KEY=VALUE, where VALUE is JSON if it reads as JSON and a text otherwise; dots go into tables. Exit codes:
-0 obeyed, 1 refused, 2 the request is wrong, 3 no broker or no answer.
+Request fields are given as KEY=VALUE. VALUE is parsed as JSON if possible and is a string otherwise; a dot in KEY
+addresses a nested field. Exit codes: 0 accepted, 1 rejected, 2 invalid request, 3 no broker or no response.
 
 Examples:
   panoexec send get
@@ -33,22 +33,22 @@ _WRONG = frozenset({"too_large", "not_json", "unknown_command", "invalid", "conf
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verb's options."""
+    """Declare the command's options."""
     parser.add_argument("command", metavar="COMMAND", help=", ".join(REQUESTS))
-    # without a default argparse calls it required where options may stand between
-    parser.add_argument("fields", nargs="*", default=[], metavar="KEY=VALUE", help="of the request")
-    parser.add_argument("--plan", type=Path, metavar="PLAN.json", help="for plan and start: a whole plan file")
-    parser.add_argument("--timeout", type=positive, default=60.0, metavar="S", help="to wait for the answer (60)")
-    parser.add_argument("--json", action="store_true", help="the answer as one JSON document on stdout")
+    # without a default, parse_intermixed_args reports the argument as required
+    parser.add_argument("fields", nargs="*", default=[], metavar="KEY=VALUE", help="request fields")
+    parser.add_argument("--plan", type=Path, metavar="PLAN.json", help="plan file, for `plan` and `start`")
+    parser.add_argument("--timeout", type=positive, default=60.0, metavar="S", help="response timeout in s (60)")
+    parser.add_argument("--json", action="store_true", help="print the response as one JSON document on stdout")
     add_broker_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Ask, and show the answer."""
+    """Send the request and print the response."""
     if args.command not in REQUESTS:
         near = difflib.get_close_matches(args.command, REQUESTS, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"commands are {', '.join(REQUESTS)}"
-        raise UsageError(f"there is no command {args.command!r}: {hint}")
+        raise UsageError(f"unknown command {args.command!r}: {hint}")
     fields = _fields(args.fields)
     if args.plan is not None:
         try:
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         why = answer["error"]
         where = f" ({why['field']})" if why.get("field") else ""
-        note(f"panoexec: {vehicle} refused {args.command}: {why['code']}{where}: {why['message']}")
+        note(f"panoexec: {vehicle} rejected {args.command}: {why['code']}{where}: {why['message']}")
     return _exit_code(answer)
 
 
@@ -95,7 +95,7 @@ def _fields(texts: list[str]) -> dict[str, Any]:
         for name in tables:
             table = table.setdefault(name, {})
             if not isinstance(table, dict):
-                raise UsageError(f"{text!r}: {name} was given as a value already")
+                raise UsageError(f"{text!r}: {name} already has a value")
         try:
             table[last] = json.loads(value)
         except ValueError:

@@ -1,8 +1,8 @@
-"""Run the daemon: holds the links to autopilot and broker, flies missions that a ground station asks for by MQTT.
+"""Run the daemon, which keeps the links to autopilot and broker and executes missions on MQTT requests.
 
-Autopilot, camera and broker may be absent at the start and vanish at any time. SIGTERM ends after the current photo and
-leaves a mission that can be resumed; SIGHUP reads the configuration again. Under systemd a wrong configuration ends
-with exit code 78 instead of 2.
+Autopilot, camera and broker may be absent at the start and may be lost at any time; the daemon keeps reconnecting.
+SIGTERM stops the daemon after the current photo; the mission can be resumed. SIGHUP reloads the configuration. Under
+systemd an invalid configuration ends with exit code 78 instead of 2.
 
 Example:
   panoexec serve --config /etc/panoexec/config.toml
@@ -17,7 +17,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-import panoexec.cli.lean  # noqa: F401  (first: see there)
+import panoexec.cli.lean  # noqa: F401  (must be imported first)
 from panoexec.cli.one_heap import use_one_heap
 from panoexec.cli.planning_options import positive
 from panoexec.clock import SystemClock
@@ -30,16 +30,16 @@ from panoexec.logs import configure_logs
 
 DEFAULT_CONFIG = Path("/etc/panoexec/config.toml")
 EXIT_CONFIG = 78
-"""EX_CONFIG of sysexits.h: the unit does not restart after it."""
+"""EX_CONFIG of sysexits.h; the systemd unit does not restart the service after it."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verb's options."""
+    """Declare the command's options."""
     parser.add_argument(
-        "--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help=f"the configuration ({DEFAULT_CONFIG})"
+        "--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help=f"configuration file ({DEFAULT_CONFIG})"
     )
     parser.add_argument(
-        "--speedup", type=positive, default=1.0, metavar="N", help="for a simulated vehicle that runs N times faster"
+        "--speedup", type=positive, default=1.0, metavar="N", help="speed-up of the simulated vehicle (1)"
     )
 
 
@@ -64,10 +64,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def checked_config(path: Path, environment: Mapping[str, str]) -> Config:
-    """The configuration, if nothing at all is wrong with it.
+    """Load and check the configuration.
 
     Raises:
-        InputFileError: with every problem.
+        InputFileError: the configuration is invalid; the error lists every problem.
     """
     config = load_config(path, environment)
     problems = configuration_problems(config)

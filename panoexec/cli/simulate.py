@@ -1,8 +1,8 @@
-"""Run the simulated vehicle alone, in the foreground, to try `panoexec serve` or any ground station against it.
+"""Run only the simulated vehicle, in the foreground, as a peer for `panoexec serve` or any ground station.
 
-It sends MAVLink to the UDP ports that MAVSDK and ground stations listen on (14540 and 14550), as the autopilots' own
-simulators do; with --listen it waits on a port instead. With --attach it is only the payload, gimbal and camera, of a
-real ArduPilot (MNT1_TYPE 6), in SITL or on a bench. Ctrl-C ends it.
+The simulator sends MAVLink to the UDP ports on which MAVSDK and ground stations listen (14540 and 14550), as the
+simulators of the autopilots do. With --listen it waits for a client on a port instead. With --attach it simulates only
+the payload (gimbal and camera) of a real ArduPilot (MNT1_TYPE 6), in SITL or on a bench. Ctrl-C ends it.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ EXIT_INTERRUPTED = 130
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the command's options."""
     add_camera_arguments(parser, required=False)
     add_simulation_arguments(parser)
-    parser.add_argument("--json", action="store_true", help="one JSON document on stdout when it is ready")
+    parser.add_argument("--json", action="store_true", help="print one JSON document on stdout when ready")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run until interrupted; the exit code."""
+    """Run until interrupted and return the exit code."""
     config = config_of(args, simulated_camera(args))
     for package in ("pymavlink", "PIL"):
         if importlib.util.find_spec(package) is None:
@@ -58,10 +58,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def simulated_camera(args: argparse.Namespace) -> CameraConfig | None:
-    """The camera that the options name, None if they name none.
+    """The camera selected by the options; None if none is selected.
 
     Raises:
-        InputFileError: no such profile, or one that is wrong.
+        InputFileError: the profile is invalid.
+        UsageError: there is no such profile.
     """
     if args.camera is None:
         return None
@@ -74,15 +75,17 @@ def _how_to_connect(config: SimConfig, connect: str) -> list[str]:
     if config.attach_url is not None:
         return [
             f"payload attached to {config.attach_url}: gimbal = component 154, camera = component 100",
-            "the autopilot needs MNT1_TYPE 6; it adopts the gimbal 10 s after its boot",
+            "the autopilot needs MNT1_TYPE 6; it searches for the gimbal from 10 s after its boot",
         ]
     what = "ArduPilot copter" if config.autopilot == "ardupilot" else "PX4 copter"
-    # it waits on one port, and sends to two
+    # with --listen there is one default port, otherwise there are two
     default = str(DEFAULT_PORTS[0]) if config.listen else " and ".join(map(str, DEFAULT_PORTS))
     ports = config.port or default
     lines = [f"simulated {what}, system {config.system_id}: MAVLink on UDP, {config.host}:{ports}"]
     if config.listen:
-        lines.append(f'MAVSDK and `panoexec serve`: connection = "{connect}"; it answers whoever talks first')
+        lines.append(
+            f'MAVSDK and `panoexec serve`: connection = "{connect}"; the simulator replies to the first client'
+        )
     else:
         lines.append(f'MAVSDK, `panoexec serve`: connection = "{connect}"; ground station: listen on UDP {ports}')
     if config.output is None:

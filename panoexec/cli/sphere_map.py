@@ -1,8 +1,8 @@
-"""The sphere as a map of characters: which directions are photographed, which are next, and where a hole would be.
+"""A character map of the sphere that shows which directions are photographed, current, pending or missing.
 
-An equirectangular map, azimuth to the right with the plan's yaw 0 in the middle, elevation up. Each character holds two
-pixels, one above the other. A pixel has the colour of the best that is known of the images that see its middle: a
-direction that one image has already is no gap because another one is missing.
+The map is equirectangular: azimuth to the right with the plan's yaw 0 in the middle, elevation up. Each character holds
+two pixels, one above the other. A pixel gets the colour of the best mark among the images that contain its centre: a
+direction covered by one image is not shown as a gap because another image is missing.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 
 WIDTH: Final = 72
 HEIGHT: Final = 18
-"""Of the map in characters: a pixel is 5° wide and 5° high."""
+"""Size of the map in characters; a pixel is 5° wide and 5° high."""
 
 
 class Mark(IntEnum):
-    """What is known of a direction; where images overlap the larger one shows."""
+    """Status of a direction; where images overlap, the largest value is shown."""
 
     OUTSIDE = 0
     PENDING = 1
@@ -58,16 +58,16 @@ LEGEND: Final[Mapping[Mark, tuple[str, str, str]]] = {
     Mark.MISSING: ("#c92a2a", "x", "missing"),
     Mark.PENDING: ("#5c5f66", "·", "to do"),
 }
-"""Of each mark the colour, the character where there are no colours, and the word."""
+"""For each mark: colour, character for terminals without colours, and label."""
 _OUTSIDE_COLOUR: Final = "#16181d"
 
 
 def mark_of(record: ShotRecord, *, current: bool) -> Mark:
-    """What a shot's record means on the map.
+    """The mark of a shot.
 
     Args:
-        record: of the shot.
-        current: it is the one that is being taken.
+        record: the record of the shot.
+        current: whether the shot is being taken now.
     """
     return MARKS[shot_marks.mark_of(record, current=current)]
 
@@ -78,10 +78,16 @@ def marks_of(record: MissionRecord) -> dict[int, Mark]:
 
 
 class SphereMap:
-    """Draws the shots of one mission; which pixels an image sees is computed once."""
+    """Draws the shots of one mission; the pixels of each image are computed once."""
 
     def __init__(self, camera: Camera, *, width: int = WIDTH, height: int = HEIGHT) -> None:
-        """Args: the camera; the size of the map in characters."""
+        """Create an empty map.
+
+        Args:
+            camera: optics of the images.
+            width: width of the map in characters.
+            height: height of the map in characters.
+        """
         self._camera = camera
         self._shape = (2 * height, width)
         azimuth = np.radians(-180.0 + 360.0 * (np.arange(width) + 0.5) / width)[None, :]
@@ -115,16 +121,16 @@ class SphereMap:
         """The map with its legend.
 
         Args:
-            shots: all of the mission.
-            marks: by index; a shot without one is to do.
-            colours: False draws with characters alone, for terminals without colours.
+            shots: all shots of the mission.
+            marks: marks by shot index; a shot without a mark is pending.
+            colours: False draws with characters only, for terminals without colours.
         """
         from rich.text import Text  # noqa: PLC0415
 
         pixels = self.pixels(shots, marks)
         out = Text(no_wrap=True)
         for above, below in zip(pixels[0::2], pixels[1::2], strict=True):
-            # neighbours of one look in one piece: a frame through a slow remote shell is 3 kB then, not 50
+            # equal neighbours are one piece: a frame has 3 kB instead of 50, which matters on slow remote shells
             for (top, bottom), alike in groupby(zip(above.tolist(), below.tolist(), strict=True)):
                 length = len(list(alike))
                 if colours:

@@ -1,10 +1,10 @@
-"""Stitch a mission's photos into one panorama and measure how complete it is.
+"""Stitch the photos of a mission into one panorama and measure its completeness.
 
 Hugin's command-line tools find control points (cpfind) and remap the photos (nona); install them with
   apt-get install hugin-tools
-Alignment starts from the measured angles and cannot run away; photos without control points keep theirs. The result
-lies in MISSION_DIR/stitch: panorama.tif (the whole sphere, with alpha), panorama.jpg (with GPano tags), aligned.pto
-(opens in Hugin), stitch.json. An interrupted run goes on where it stopped.
+The alignment starts from the measured attitudes, which bound it; photos without control points keep their measured
+attitude. The results are written to MISSION_DIR/stitch: panorama.tif (whole sphere, with alpha), panorama.jpg (with
+GPano tags), aligned.pto (a Hugin project) and stitch.json. An interrupted run continues where it stopped.
 
 Exit code 1: the panorama has holes in the ground, or photos are missing.
 
@@ -30,24 +30,26 @@ _SHOWN = 12
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verb's options."""
-    parser.add_argument("mission", type=Path, metavar="MISSION_DIR", help="the mission's directory")
-    parser.add_argument("--width", type=_width, metavar="PX", help="width of the whole sphere (the photos' resolution)")
+    """Declare the command's options."""
+    parser.add_argument("mission", type=Path, metavar="MISSION_DIR", help="mission directory")
+    parser.add_argument(
+        "--width", type=_width, metavar="PX", help="width of the whole sphere (default: resolution of the photos)"
+    )
     parser.add_argument(
         "--horizon",
         type=_elevation,
         default=0.0,
         metavar="DEG",
-        help="elevation up to which the ground reaches, for completeness (0)",
+        help="elevation of the horizon, for completeness (0)",
     )
-    parser.add_argument("--fixed-lens", action="store_true", help="do not adjust focal length and distortion")
-    parser.add_argument("--memory", type=_memory, default=1024, metavar="MIB", help="memory for blending (1024)")
-    parser.add_argument("--restart", action="store_true", help="forget what an earlier run left")
-    parser.add_argument("--json", action="store_true", help="one JSON document on stdout: stitch.json")
+    parser.add_argument("--fixed-lens", action="store_true", help="keep focal length and distortion fixed")
+    parser.add_argument("--memory", type=_memory, default=1024, metavar="MIB", help="memory for blending in MiB (1024)")
+    parser.add_argument("--restart", action="store_true", help="discard the results of an earlier run")
+    parser.add_argument("--json", action="store_true", help="print stitch.json as one JSON document on stdout")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Stitch, and show what came out."""
+    """Stitch the photos and print the result."""
     try:
         from panoexec.stitching.mission import load_mission  # noqa: PLC0415
         from panoexec.stitching.pipeline import StitchOptions  # noqa: PLC0415
@@ -76,19 +78,19 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show_in_report(mission: StitchInput) -> None:
-    """Put the panorama into the mission's report; the panorama is there even if the report cannot be written."""
+    """Rewrite the mission report with the panorama; a failure to write the report is not an error."""
     from panoexec.report import write_report  # noqa: PLC0415
 
     try:
         report = write_report(MissionDirectory(mission.folder))
     except UsageError as error:
-        note(f"the report was not written anew: {error}")
+        note(f"the report was not updated: {error}")
     else:
         note(f"report: {report.path}")
 
 
 def _stitch(mission: StitchInput, options: StitchOptions) -> StitchResult:
-    """Run the steps under a progress bar on stderr."""
+    """Run the steps with a progress bar on stderr."""
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn  # noqa: PLC0415
 
     from panoexec.stitching.pipeline import STEPS, Stitcher  # noqa: PLC0415
@@ -111,19 +113,22 @@ def _stitch(mission: StitchInput, options: StitchOptions) -> StitchResult:
 
 
 def show(result: StitchResult, mission: StitchInput) -> None:
-    """The verdict, for a person."""
+    """Print the result."""
     verdict = result.completeness
     width, height = result.canvas_px
     print_facts(
         [
             ("completeness", f"{completeness(verdict.fraction)} of the ground (equation 8)"),
             ("", f"{completeness(verdict.solid_angle_fraction)} by solid angle; {verdict.hole_px} px missing"),
-            ("photos", f"{result.images} stitched, {len(result.left_out)} left out, {len(result.untied)} not tied"),
+            (
+                "photos",
+                f"{result.images} stitched, {len(result.left_out)} left out, {len(result.untied)} unconnected",
+            ),
             (
                 "alignment",
-                f"{result.points} points, {result.rms_px:.2f} px rms, turned by up to {result.correction_deg:.2f}°",
+                f"{result.points} points, {result.rms_px:.2f} px rms, corrected by up to {result.correction_deg:.2f}°",
             ),
-            ("lens", f"{result.hfov_deg:.3f}° wide"),
+            ("lens", f"{result.hfov_deg:.3f}° horizontal field of view"),
             ("panorama", f"{width} x {height} px ({width * height / 1e9:.2f} gigapixel): {result.panorama}"),
             ("preview", str(result.preview)),
             ("time", ", ".join(f"{name} {seconds:.1f} s" for name, seconds in result.seconds.items())),
@@ -131,13 +136,13 @@ def show(result: StitchResult, mission: StitchInput) -> None:
     )
     if result.untied:
         shown = ", ".join(result.untied[:_SHOWN]) + (" …" if len(result.untied) > _SHOWN else "")
-        note(f"not tied to the others, measured angles kept: {shown}")
+        note(f"not connected by control points, measured attitude kept: {shown}")
     if mission.missing_shots:
         note(f"shots without an accepted photo: {', '.join(str(index) for index in mission.missing_shots)}")
     if verdict.holes:
         print_table(
             f"{len(verdict.holes)} holes, largest first",
-            ("elevation °", "azimuth °", "across °", "pixels"),
+            ("elevation °", "azimuth °", "diameter °", "pixels"),
             (
                 (f"{h.elevation_deg:+.2f}", f"{h.azimuth_deg:+.2f}", f"{h.size_deg:.2f}", str(h.pixels))
                 for h in verdict.holes[:_SHOWN]
@@ -148,7 +153,7 @@ def show(result: StitchResult, mission: StitchInput) -> None:
 def _width(text: str) -> int:
     value = int(text) if text.isdecimal() else 0
     if not 256 <= value <= 1_000_000:
-        raise argparse.ArgumentTypeError(f"{text}: accepted are 256 to 1000000 px")
+        raise argparse.ArgumentTypeError(f"{text}: the accepted range is 256 to 1000000 px")
     return value
 
 
@@ -158,12 +163,12 @@ def _elevation(text: str) -> float:
     except ValueError:
         value = float("nan")
     if not -90 < value <= 90:
-        raise argparse.ArgumentTypeError(f"{text}: accepted are degrees above -90, at most 90")
+        raise argparse.ArgumentTypeError(f"{text}: the accepted range is above -90 and at most 90 degrees")
     return value
 
 
 def _memory(text: str) -> int:
     value = int(text) if text.isdecimal() else 0
     if not 128 <= value <= 1_000_000:
-        raise argparse.ArgumentTypeError(f"{text}: accepted are 128 to 1000000 MiB")
+        raise argparse.ArgumentTypeError(f"{text}: the accepted range is 128 to 1000000 MiB")
     return value

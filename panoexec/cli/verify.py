@@ -1,7 +1,7 @@
-"""Judge a plan file, ours or not: does it cover the band whatever the pointing errors, and do its images overlap?
+"""Check a plan file from any planner: coverage for all pointing errors within tolerance, overlaps and connectivity.
 
-What the file does not say (a foreign file names poses only) is given by options; options also override the file.
-In place of a file, the name of one of the paper's published plans: scenario-1-proposed, scenario-1-hdrpano,
+Options supply what the file does not contain (a file from another planner may contain only poses) and override what it
+contains. Instead of a file, give the name of a plan published in the paper: scenario-1-proposed, scenario-1-hdrpano,
 scenario-2-proposed, scenario-2-hdrpano, scenario-3-proposed.
 Exit code 1: the plan is not certified.
 
@@ -29,18 +29,18 @@ from panoexec.planning.request import check_request
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verb's options."""
-    parser.add_argument("plan", type=Path, metavar="PLAN.json|NAME", help="a plan file, or a published plan")
+    """Declare the command's options."""
+    parser.add_argument("plan", type=Path, metavar="PLAN.json|NAME", help="plan file, or name of a published plan")
     add_camera_arguments(parser, required=False)
     add_constraint_arguments(parser, of_file=True)
     output = parser.add_argument_group("output")
-    output.add_argument("--output", type=Path, metavar="PLAN.json", help="write the plan with its verdict")
-    output.add_argument("--plot", type=Path, metavar="FILE.png|.svg", help="draw the footprints and what fails")
-    output.add_argument("--json", action="store_true", help="one JSON document on stdout")
+    output.add_argument("--output", type=Path, metavar="PLAN.json", help="write the plan with its certificate")
+    output.add_argument("--plot", type=Path, metavar="FILE.png|.svg", help="plot the image footprints and the failures")
+    output.add_argument("--json", action="store_true", help="print one JSON document on stdout")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Certify and show the verdict."""
+    """Certify the plan and print the certificate."""
     check_targets([args.output, args.plot])
     if args.plot:
         check_plot_path(args.plot)

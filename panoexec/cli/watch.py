@@ -1,8 +1,9 @@
-"""Watch a vehicle by MQTT: a map of the sphere, a progress bar and the last shots, until its mission ends or Ctrl-C.
+"""Show a mission over MQTT: a map of the sphere, a progress bar and the last shots, until it ends or Ctrl-C is pressed.
 
-Exit codes, once a mission ended: 0 complete, 1 incomplete or aborted, 3 failed; 3 also if nothing was heard of the
-vehicle or there is no broker. With --all one line a vehicle, until Ctrl-C. With --json one document at the end, an
-interrupted one too: the last status and state, and every event that was heard. A broker that goes away is waited for.
+Exit codes after the end of a mission: 0 complete, 1 incomplete or aborted, 3 failed. Exit code 3 also means that no
+message from the vehicle was received or that the broker cannot be reached. --all shows one line per vehicle until
+Ctrl-C. --json prints one document at the end, also when interrupted: the last status and state and all received events.
+If the connection to the broker is lost, the command reconnects.
 
 Examples:
   panoexec watch --host broker.local --vehicle drone
@@ -31,16 +32,16 @@ _LAST_EVENTS_S = 3.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verb's options."""
-    parser.add_argument("--all", action="store_true", help="every vehicle below the prefix")
-    parser.add_argument("--follow", action="store_true", help="go on after the end of a mission")
-    parser.add_argument("--timeout", type=positive, metavar="S", help="end after this long")
-    parser.add_argument("--json", action="store_true", help="one JSON document on stdout at the end")
+    """Declare the command's options."""
+    parser.add_argument("--all", action="store_true", help="show all vehicles below the topic prefix")
+    parser.add_argument("--follow", action="store_true", help="keep running after the end of a mission")
+    parser.add_argument("--timeout", type=positive, metavar="S", help="maximum running time (s)")
+    parser.add_argument("--json", action="store_true", help="print one JSON document on stdout at the end")
     add_broker_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Watch."""
+    """Show the vehicles until the mission ends."""
     section, vehicle = broker_of(args)
     vehicles: dict[str, Watched] = {}
     interrupted = False
@@ -60,11 +61,11 @@ def run(args: argparse.Namespace) -> int:
         return EXIT_INTERRUPTED
     if args.all:
         if not vehicles:
-            note(f"panoexec: nothing was heard of any vehicle below {section.prefix}/: is that the prefix of theirs?")
+            note(f"panoexec: no message received from any vehicle below {section.prefix}/: check [mqtt] prefix")
         return 0
     watched = vehicles.get(vehicle)
     if watched is None:
-        note(f"panoexec: nothing was heard of {vehicle}: is its id right ([vehicle] id), and did it ever connect?")
+        note(f"panoexec: no message received from {vehicle}: check its id ([vehicle] id) and whether it has connected")
         return LinkError.exit_code
     return ENDED.get(watched.ended, 0)
 
@@ -72,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
 async def _watch(
     section: MqttSection, vehicle: str | None, vehicles: dict[str, Watched], args: argparse.Namespace
 ) -> None:
-    """Watch until the mission ends; a broker that was there once is waited for."""
+    """Listen until the mission ends; reconnect to a broker that was connected once."""
     known, told = False, ""
     async with asyncio.timeout(args.timeout) as limit:
         with Live(console=console(stderr=True), auto_refresh=False, transient=args.json) as live:
@@ -87,7 +88,7 @@ async def _watch(
                         raise
                     if str(error) != told:
                         told = str(error)
-                        live.console.print(f"{told}: trying again")
+                        live.console.print(f"{told}: retrying")
                     await asyncio.sleep(_AGAIN_S)
 
 
@@ -98,7 +99,7 @@ async def _listen(
     live: Live,
     limit: asyncio.Timeout | None,
 ) -> None:
-    """Listen until the one vehicle's mission ends; for ever without a limit that could be brought forward."""
+    """Listen until the mission of the vehicle ends; without end if `vehicle` or `limit` is None."""
     async with aclosing(ground.listen(vehicle)) as messages:
         async for heard in messages:
             name = heard.vehicle
@@ -116,6 +117,6 @@ async def _listen(
                 continue
             if one.finished:
                 return
-            # the state overtakes events: the last of them are still on their way
+            # the state can arrive before the last events: wait for those a little longer
             soon = asyncio.get_running_loop().time() + _LAST_EVENTS_S
             limit.reschedule(min(limit.when() or soon, soon))

@@ -1,4 +1,4 @@
-"""What `watch` shows of vehicles: progress and the last attempts of one, a line each of many."""
+"""What `watch` shows: progress and the last attempts of one vehicle, or one line per vehicle."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from panoexec.inputs.plan_file import PlanFile, plan_from_data
 from panoexec.mission.log.shot_marks import marks_from_text
 
 ENDED: Final = {"complete": 0, "incomplete": 1, "aborted": 1, "failed": 3}
-"""States in which a mission is over, with the exit code of `watch`."""
+"""Final states of a mission, with the exit code of `watch`."""
 
 _FLYING: Final = frozenset({"preflight", "capturing", "paused", "finishing"})
 _LAST_ATTEMPTS: Final = 12
@@ -60,12 +60,12 @@ _MARKS: Final = {
 }
 _ROOM_LINES: Final = 6
 _LEAST_ATTEMPTS: Final = 3
-"""Below the map there is room for so many at least, and for a few lines besides."""
+"""Minimum number of attempts that must fit below the map."""
 
 
 @dataclass(slots=True)
 class Attempt:
-    """One attempt at a shot, as its events tell it."""
+    """One attempt at a shot, built from its events."""
 
     shot: int
     number: int
@@ -77,18 +77,18 @@ class Attempt:
 
 @dataclass(slots=True)
 class Watched:
-    """What was heard of one vehicle.
+    """The messages received from one vehicle.
 
     Attributes:
-        status: online or offline; "" before either was heard.
-        state: the newest.
-        events: each once, in the order in which they came.
-        ended: the state in which the mission that was watched ended; "" before.
-        finished: the last event of that mission was heard.
-        last: what happened last besides shots.
-        attempts: by shot and number, in the order in which they began.
-        plan: of the mission, None before it was heard.
-        sphere: draws it.
+        status: online or offline; "" before the first status message.
+        state: the newest state.
+        events: all events without duplicates, in order of arrival.
+        ended: the final state of the observed mission; "" before its end.
+        finished: whether the last event of that mission was received.
+        last: text of the last event that does not belong to an attempt.
+        attempts: attempts by shot and attempt number, in order of their start.
+        plan: the plan of the mission; None before it was received.
+        sphere: draws the map of that plan.
     """
 
     status: str = ""
@@ -104,7 +104,7 @@ class Watched:
     _flying: bool = False
 
     def hear(self, kind: str, document: Any) -> None:
-        """Take a message; a repeated event is dropped."""
+        """Process a message; a repeated event is dropped."""
         if kind == "status":
             self.status = str(document)
         elif kind == "state" and isinstance(document, dict):
@@ -123,19 +123,19 @@ class Watched:
     def _take_plan(self, document: Any) -> None:
         try:
             self.plan = plan_from_data(document, source="plan")
-        except InputFileError:  # none any more, or a stranger's
+        except InputFileError:  # empty (no mission), or not a valid plan
             self.plan = None
         camera = None if self.plan is None else self.plan.camera
         self.sphere = None if camera is None else SphereMap(camera)
 
     def marks(self) -> dict[int, Mark]:
-        """What the map shows of each shot: as the state tells, else as far as its attempts were heard."""
+        """The mark of each shot: from the state if it lists the shots, else from the received attempts."""
         total, text = self.state.get("shots_total"), self.state.get("shots")
         if isinstance(total, int) and isinstance(text, str) and (told := marks_from_text(text, count=total)):
             return {index: MARKS[standing] for index, standing in enumerate(told)}
         out: dict[int, Mark] = {}
         for (shot, number), attempt in self.attempts.items():
-            again = out.get(shot) in (Mark.DONE, Mark.RETAKEN)  # the earlier photo counts until a new one does
+            again = out.get(shot) in (Mark.DONE, Mark.RETAKEN)  # the earlier photo counts until a new one is accepted
             mark = _MARKS.get(attempt.verdict, Mark.PENDING)
             if mark is Mark.DONE and number > 1:
                 mark = Mark.RETAKEN
@@ -164,13 +164,13 @@ class Watched:
 
 
 def mission_view(name: str, one: Watched, *, room: tuple[int, int] = (0, 0), colours: bool = False) -> Group:
-    """One vehicle: where its mission stands, and the last attempts.
+    """The view of one vehicle: mission progress and the last attempts.
 
     Args:
-        name: its id.
-        one: what was heard.
-        room: columns and lines of the terminal: with enough of both, the sphere is drawn too.
-        colours: of the sphere.
+        name: the vehicle's id.
+        one: the received messages.
+        room: columns and lines of the terminal; the map is drawn only if it fits.
+        colours: whether to draw the map in colour.
     """
     state = one.state
     total, done = state.get("shots_total") or 0, state.get("shots_done") or 0
@@ -226,7 +226,7 @@ def _attempts(one: Watched, most: int) -> Table:
 
 
 def fleet_view(vehicles: Mapping[str, Watched]) -> Table:
-    """A line for each vehicle."""
+    """The view of a fleet: one line per vehicle."""
     table = Table(box=None, padding=(0, 2), pad_edge=False)
     for column in ("vehicle", "status", "state", "shots", "retakes", "left", "links", "battery", "reason"):
         table.add_column(column)
@@ -248,9 +248,9 @@ def fleet_view(vehicles: Mapping[str, Watched]) -> Table:
 
 
 def _links(state: Mapping[str, Any]) -> str:
-    """Which links work, and the battery: `autopilot ok, gimbal ok, camera gone, battery 74 %`."""
+    """Links and battery: `autopilot ok, gimbal ok, camera lost, battery 74 %`."""
     links = state.get("link") or {}
-    told = [f"{name} {'ok' if (links.get(name) or {}).get('ok') else 'gone'}" for name in links]
+    told = [f"{name} {'ok' if (links.get(name) or {}).get('ok') else 'lost'}" for name in links]
     battery = state.get("battery_frac")
     return ", ".join([*told, *([] if battery is None else [f"battery {100 * battery:.0f} %"])])
 

@@ -1,1 +1,1 @@
-"""What a person or a file hands in: configuration, camera profiles, plan files, and the plan specification."""
+"""User input: configuration, camera profiles, plan files, and the plan specification."""

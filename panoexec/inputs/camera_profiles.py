@@ -1,7 +1,8 @@
-"""Camera profiles: what a planner and a mission must know of a camera, from TOML files or inline tables.
+"""Camera profiles: the camera properties that planner and mission need, from TOML files or inline tables.
 
-A profile gives the camera as built, longer side first; `orientation` says how it is mounted. The field of view is
-computed from sensor and focal length, never typed in. Shipped profiles are in `panoexec/profiles` (`config/cameras`).
+A profile describes the camera in landscape format, with the longer side as the width; `orientation` is its mounting
+orientation. The field of view is computed from sensor and focal length. The included profiles are in
+`panoexec/profiles` (`config/cameras`).
 """
 
 from __future__ import annotations
@@ -33,14 +34,14 @@ _NO_FOCAL_LENGTH = "focal_length_mm is missing (or zoom_range_mm = [shortest, lo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraProfile:
-    """A camera as mounted, and what the mission must know besides its optics.
+    """A mounted camera: optics, timing and source of the data.
 
     Attributes:
-        camera: optics, turned as `orientation` says.
-        orientation: how it is mounted.
-        min_interval_s: least time from one photo to the next.
-        max_exposure_s: longest exposure that the camera is set to use; the pose must hold that long.
-        source: where the figures come from.
+        camera: optics in the mounting orientation.
+        orientation: mounting orientation.
+        min_interval_s: minimum time between two photos.
+        max_exposure_s: maximum exposure time set on the camera; the pose must be held for this time.
+        source: source of the data.
         zoom_range_mm: shortest and longest focal length, or None for a fixed lens.
     """
 
@@ -84,13 +85,13 @@ class _ProfileModel(BaseModel):
 
     def _size_problems(self) -> list[str]:
         if self.sensor_width_mm < self.sensor_height_mm or self.image_width_px < self.image_height_px:
-            return ['widths must be the longer sides, as the camera is built; mounting is `orientation = "portrait"`']
+            return ['widths must be the longer sides; use `orientation = "portrait"` for portrait mounting']
         sensor = self.sensor_width_mm / self.sensor_height_mm
         image = self.image_width_px / self.image_height_px
         if abs(sensor / image - 1) > _ASPECT_AGREES:
             problem = (
                 f"the sensor is {sensor:.3f} times as wide as high, the image {image:.3f} times: "
-                "give the part of the sensor that the image uses"
+                "give the size of the sensor area that the image uses"
             )
             return [problem]
         return []
@@ -106,12 +107,12 @@ class _ProfileModel(BaseModel):
             if self.focal_length_mm is not None and not low <= self.focal_length_mm <= high:
                 problems.append(f"focal_length_mm is {self.focal_length_mm:g}: it must lie within {low:g} to {high:g}")
             if self.calibrated_focal_length_mm is not None:
-                problems.append("calibrated_focal_length_mm is for fixed lenses, this one zooms: leave it out")
+                problems.append("calibrated_focal_length_mm is for fixed lenses only: remove it for a zoom lens")
         camera = self.camera("", shortest)
         if camera.hfov_deg > _LARGEST_FOV_DEG:
             problems.append(
-                f"sensor_width_mm and focal length make a field of view of {camera.hfov_deg:.2f}°: "
-                f"pinhole images end at {_LARGEST_FOV_DEG:g}°"
+                f"sensor_width_mm and focal length give a field of view of {camera.hfov_deg:.2f}°: "
+                f"the maximum for pinhole images is {_LARGEST_FOV_DEG:g}°"
             )
         return problems
 
@@ -130,16 +131,16 @@ class _ProfileModel(BaseModel):
 def load_profile(
     name_or_path: str, *, orientation: Orientation | None = None, focal_length_mm: float | None = None
 ) -> CameraProfile:
-    """Load a shipped profile by its name, or any profile by the path of its TOML file.
+    """Load an included profile by name, or any profile by the path of its TOML file.
 
     Args:
-        name_or_path: a path if it ends in .toml or has a folder in it.
-        orientation: how the camera is mounted, instead of what the profile says.
-        focal_length_mm: for zooms, within the profile's range; the profile's own, else the shortest, by default.
+        name_or_path: a path if it ends in .toml or contains a path separator, otherwise a name.
+        orientation: mounting orientation that overrides the profile.
+        focal_length_mm: focal length of a zoom lens; default: that of the profile, otherwise the shortest.
 
     Raises:
-        UsageError: no such profile (near matches are named), or the focal length does not fit.
-        InputFileError: the file is unreadable or wrong, with every problem.
+        UsageError: there is no such profile (similar names are listed), or the focal length is out of range.
+        InputFileError: the file is unreadable or invalid; the error lists every problem.
     """
     if name_or_path.endswith(".toml") or os.sep in name_or_path:
         path = Path(name_or_path)
@@ -151,7 +152,7 @@ def load_profile(
         hint = f"did you mean {' or '.join(near)}? " if near else ""
         raise UsageError(
             f"there is no camera profile {name_or_path!r}: {hint}`panoexec cameras` lists them; "
-            "your own profile is named by its file, FILE.toml"
+            "give your own profile as FILE.toml"
         )
     return _profile(read_toml(path_of_name), str(path_of_name), name_or_path, orientation, focal_length_mm)
 
@@ -174,24 +175,24 @@ def profile_from_mapping(
     orientation: Orientation | None = None,
     focal_length_mm: float | None = None,
 ) -> CameraProfile:
-    """A profile from a table with the keys of a profile file, such as a request's; its `source` may be left out.
+    """A profile from a table with the keys of a profile file, for example in a request; `source` is optional.
 
     Args:
         data: keys and values.
-        source: what to call it in messages.
-        name: the camera's name, if `data` has none.
+        source: name of the table in error messages.
+        name: name of the camera, if `data` has none.
         orientation: as in `load_profile`.
         focal_length_mm: as in `load_profile`.
 
     Raises:
-        InputFileError: with every problem found.
-        UsageError: the focal length asked for does not fit the lens.
+        InputFileError: the table is invalid; the error lists every problem.
+        UsageError: the requested focal length is out of range.
     """
     return _profile({"source": "given inline"} | dict(data), source, name, orientation, focal_length_mm)
 
 
 def list_profiles() -> list[CameraProfile]:
-    """All shipped profiles, by name."""
+    """All included profiles, sorted by name."""
     return [load_profile(name) for name in _shipped()]
 
 
@@ -203,7 +204,7 @@ def _profile(
     except ValidationError as error:
         problems = problem_lines(error)
         if not {"focal_length_mm", "zoom_range_mm"} & data.keys() and _NO_FOCAL_LENGTH not in problems:
-            # what spans several keys is only checked once each key for itself is right
+            # conditions on several keys are only checked if each key is valid
             problems.append(_NO_FOCAL_LENGTH)
         raise InputFileError(source, problems) from error
     camera = model.camera(name, _focal_length(model, focal_length_mm, name))
@@ -235,6 +236,6 @@ def _focal_length(model: _ProfileModel, asked_mm: float | None, name: str) -> fl
 
 
 def _shipped() -> dict[str, Path]:
-    """Shipped profile files by name, sorted."""
+    """Files of the included profiles by name, sorted."""
     folder = importlib.resources.files("panoexec") / "profiles"
     return {path.stem: path for path in sorted(Path(str(folder)).glob("*.toml"))}

@@ -1,8 +1,8 @@
-"""The daemon's configuration: TOML and environment in, checked frozen values out.
+"""The configuration of the daemon, read from a TOML file and environment variables and validated.
 
-Every key can be overridden by `PANOEXEC_<SECTION>__<KEY>`, whose text is read as a TOML value where it is one and as a
-plain string otherwise. Unknown keys, bad units and impossible combinations are errors, all reported at once. Secrets
-are never values here: they are paths of files.
+Every key can be overridden by `PANOEXEC_<SECTION>__<KEY>`, which is parsed as a TOML value if possible and is a string
+otherwise. Unknown keys, values out of range and impossible combinations are errors; all are reported at once. Secrets
+are not part of the configuration, only the paths of their files.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from panoexec.inputs.validation import problem_lines, read_toml
 
 ENV_PREFIX = "PANOEXEC_"
 TURNING_MODES = frozenset({"OFFBOARD", "HOLD"})
-"""Flight modes, by MAVSDK's names, in which one autopilot or another lets itself be turned."""
+"""Flight modes, by MAVSDK's names, in which ArduPilot (OFFBOARD) or PX4 (HOLD) executes yaw commands."""
 _ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _HOST_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,252}")
 
@@ -37,7 +37,7 @@ EvidenceName: TypeAlias = Literal[
 
 
 class Section(BaseModel):
-    """What all sections share: unknown keys are errors, values do not change, defaults pass the same checks."""
+    """Base of all sections: unknown keys are errors, values are immutable, defaults are validated as well."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
 
@@ -45,7 +45,7 @@ class Section(BaseModel):
 def _ordered_range(value: Range, least: float, most: float) -> Range:
     low, high = value
     if not low < high:
-        raise ValueError(f"[{low:g}, {high:g}] is upside down or empty: the first must be less than the second")
+        raise ValueError(f"[{low:g}, {high:g}] is empty or reversed: the first value must be less than the second")
     if low < least or high > most:
         raise ValueError(f"[{low:g}, {high:g}] must lie within [{least:g}, {most:g}]")
     return value
@@ -60,7 +60,7 @@ def _is_ipv6(text: str) -> bool:
 
 
 class VehicleSection(Section):
-    """`[vehicle]`: who we are and how the autopilot is reached."""
+    """`[vehicle]`: vehicle id and connection to the autopilot."""
 
     id: str = "drone"
     connection: str | None = None
@@ -74,18 +74,18 @@ class VehicleSection(Section):
     @classmethod
     def _id_fits_a_topic(cls, value: str) -> str:
         if not _ID.fullmatch(value):
-            raise ValueError(f"{value!r} is not an id: 1 to 64 of A-Z a-z 0-9 _ - (it becomes part of MQTT topics)")
+            raise ValueError(f"{value!r} is not an id: use 1 to 64 of A-Z a-z 0-9 _ - (the id is part of MQTT topics)")
         return value
 
     @model_validator(mode="after")
     def _one_way_to_connect(self) -> Self:
         if self.connection is not None and self.serial is not None:
-            raise ValueError("connection and serial exclude each other: give one of them")
+            raise ValueError("connection and serial exclude each other: set only one of them")
         return self
 
 
 class GimbalSection(Section):
-    """`[gimbal]`: what the mount can do, where it does not say so itself."""
+    """`[gimbal]`: properties of the gimbal that it does not report itself."""
 
     feedback: Literal["auto", "earth", "vehicle", "body", "none"] = "auto"
     yaw: Literal["gimbal", "vehicle", "auto"] = "gimbal"
@@ -105,7 +105,7 @@ class GimbalSection(Section):
 
 
 class CameraSection(Section):
-    """`[camera]`: the profile, how it is triggered, and how a photo is proven."""
+    """`[camera]`: profile, trigger, and evidence of a photo."""
 
     profile: str = "dji-x5s-15mm"
     orientation: Literal["landscape", "portrait"] | None = None
@@ -129,7 +129,7 @@ class CameraSection(Section):
         if self.serial_line == "bytes" and not self.serial_bytes:
             raise ValueError('serial_line = "bytes" needs serial_bytes, the text to send')
         if self.trigger == "serial" and self.evidence not in ("commanded", "acknowledged", "counted", "feedback_pin"):
-            raise ValueError(f'a serial shutter cannot prove evidence = "{self.evidence}": "commanded" is what it has')
+            raise ValueError(f'a serial shutter cannot provide evidence = "{self.evidence}": use "commanded"')
         return self
 
 
@@ -155,7 +155,7 @@ class PointingSection(Section):
 
 
 class GuardsSection(Section):
-    """`[guards]`: when a mission must not start, pauses or stops."""
+    """`[guards]`: conditions under which a mission does not start, pauses or stops."""
 
     battery_floor_frac: Fraction = 0.25
     hover_min: NotNegative = 20.0
@@ -166,7 +166,7 @@ class GuardsSection(Section):
 
 
 class MissionSection(Section):
-    """`[mission]`: what a request leaves out, and what happens to an interrupted mission at start."""
+    """`[mission]`: defaults for requests, and handling of an interrupted mission at start."""
 
     resume: Literal["auto", "offer"] = "offer"
     method: Literal["certified", "paper", "hdrpano"] = "certified"
@@ -188,12 +188,12 @@ class MissionSection(Section):
     def _azimuths(cls, value: Range) -> Range:
         low, high = _ordered_range(value, -360, 540)
         if high - low > 360:
-            raise ValueError(f"[{low:g}, {high:g}] spans {high - low:g}°: at most 360° make a full circle")
+            raise ValueError(f"[{low:g}, {high:g}] spans {high - low:g}°: at most 360° (a full circle)")
         return value
 
 
 class MqttSection(Section):
-    """`[mqtt]`: the broker and how to speak to it; without `host` there is no ground station link."""
+    """`[mqtt]`: broker and credentials; without `host` there is no MQTT connection."""
 
     host: str | None = None
     port: Annotated[int, Field(ge=1, le=65535)] = 1883
@@ -210,45 +210,47 @@ class MqttSection(Section):
     @classmethod
     def _host_is_a_host(cls, value: str | None) -> str | None:
         if value is not None and not _HOST_NAME.fullmatch(value) and not _is_ipv6(value):
-            # what stands before an @ may be a password, which no message may repeat
-            shown = "what is given" if "@" in value else repr(value)
-            raise ValueError(f"{shown} is not a host: a name or an address alone, without mqtt:// and without a port")
+            # the part before an @ may be a password, which must not appear in messages
+            shown = "the value" if "@" in value else repr(value)
+            raise ValueError(f"{shown} is not a host: give a name or an address without mqtt:// and without a port")
         return value
 
     @field_validator("prefix")
     @classmethod
     def _prefix_is_a_topic(cls, value: str) -> str:
         if not all(_ID.fullmatch(part) for part in value.split("/")):
-            raise ValueError(f"{value!r} is not a topic prefix: parts of A-Z a-z 0-9 _ - joined by single slashes")
+            raise ValueError(
+                f"{value!r} is not a topic prefix: use levels of A-Z a-z 0-9 _ - separated by single slashes"
+            )
         return value
 
     @model_validator(mode="after")
     def _credentials_are_whole(self) -> Self:
         if (self.cert_file is None) != (self.key_file is None):
-            raise ValueError("cert_file and key_file belong together: give both or neither")
+            raise ValueError("cert_file and key_file belong together: set both or neither")
         if self.cert_file is not None and self.ca_file is None:
-            raise ValueError("cert_file needs ca_file: a client certificate is used over TLS only")
+            raise ValueError("cert_file needs ca_file: client certificates require TLS")
         if self.password_file is not None and self.username is None:
             raise ValueError("password_file needs username")
         return self
 
 
 class StorageSection(Section):
-    """`[storage]`: where missions are kept."""
+    """`[storage]`: storage of missions."""
 
     path: Path = Path("/var/lib/panoexec")
     min_free_mb: NotNegative = 200.0
 
 
 class LogSection(Section):
-    """`[log]`: how much, and for whom."""
+    """`[log]`: level and format of the log."""
 
     level: Literal["debug", "info", "warning", "error"] = "info"
     format: Literal["auto", "human", "json"] = "auto"
 
 
 class Config(Section):
-    """The whole configuration."""
+    """The complete configuration."""
 
     vehicle: VehicleSection = VehicleSection()
     gimbal: GimbalSection = GimbalSection()
@@ -266,7 +268,7 @@ class Config(Section):
         if self.gimbal.yaw != "gimbal" and modes and not set(modes) & TURNING_MODES:
             raise ValueError(
                 f'gimbal.yaw = "{self.gimbal.yaw}" turns the vehicle, but guards.allowed_modes = {list(modes)} has no '
-                f"mode in which one can be turned: OFFBOARD (ArduPilot: GUIDED) or HOLD (PX4)"
+                f"mode in which it can be turned: OFFBOARD (ArduPilot: GUIDED) or HOLD (PX4)"
             )
         return self
 
@@ -276,14 +278,14 @@ def load_config(path: Path, environment: Mapping[str, str]) -> Config:
 
     Args:
         path: the TOML file.
-        environment: variables, of which `PANOEXEC_<SECTION>__<KEY>` override the file.
+        environment: environment variables; `PANOEXEC_<SECTION>__<KEY>` override the file.
 
     Raises:
-        InputFileError: with every problem of the file and of the overriding variables.
+        InputFileError: the file or an overriding variable is invalid; the error lists every problem.
     """
     if not path.exists():
-        copy = "config/panoexec.toml in a clone, /usr/share/panoexec/config.toml of the package"
-        raise InputFileError(str(path), [f"cannot be read: there is no such file; one to copy is {copy}"])
+        copy = "config/panoexec.toml of a clone or /usr/share/panoexec/config.toml of the package"
+        raise InputFileError(str(path), [f"cannot be read: there is no such file; copy {copy}"])
     tables = read_toml(path)
     problems = _apply_environment(tables, environment)
     try:
@@ -296,7 +298,7 @@ def load_config(path: Path, environment: Mapping[str, str]) -> Config:
 
 
 def _apply_environment(tables: dict[str, Any], environment: Mapping[str, str]) -> list[str]:
-    """Put overriding variables into the tables; returns what is wrong with their names."""
+    """Put overriding variables into the tables; returns the problems of their names."""
     problems: list[str] = []
     for name, text in sorted(environment.items()):
         if not name.startswith(ENV_PREFIX) or "__" not in name:
@@ -304,7 +306,7 @@ def _apply_environment(tables: dict[str, Any], environment: Mapping[str, str]) -
         section, _, key = name.removeprefix(ENV_PREFIX).lower().partition("__")
         if section not in Config.model_fields:
             known = ", ".join(sorted(Config.model_fields))
-            problems.append(f"environment variable {name}: there is no section {section!r}; sections are {known}")
+            problems.append(f"environment variable {name}: unknown section {section!r}; sections are {known}")
             continue
         table = tables.setdefault(section, {})
         if isinstance(table, dict):

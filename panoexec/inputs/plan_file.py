@@ -1,7 +1,7 @@
 """The plan file (docs/contract.md), `"format": "panoexec.plan/1"`: read with every problem told, written whole.
 
-A foreign file needs no more than `shots[].pitch_deg` and `yaw_deg`; what it leaves out (camera, constraints, rows) is
-given by the caller or derived. Unknown keys are ignored, so that others may add their own.
+A file of another planner needs only `shots[].pitch_deg` and `yaw_deg`; the caller supplies missing parts (camera,
+constraints), or they are derived (rows). Unknown keys are ignored, so that other programs can add their own.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class _CameraModel(PlanFileModel):
         for name in ("hfov_deg", "vfov_deg"):
             stated, computed = getattr(self, name), getattr(camera, name)
             if stated is not None and abs(stated - computed) > _FOV_AGREES_DEG:
-                raise ValueError(f"{name} is {stated:g}, but sensor and focal length make it {computed:.2f}")
+                raise ValueError(f"{name} is {stated:g}, but sensor and focal length give {computed:.2f}")
         return self
 
     def camera(self) -> Camera:
@@ -88,7 +88,7 @@ class _PlanModel(PlanFileModel):
     @classmethod
     def _known_format(cls, value: str | None) -> str | None:
         if value is not None and value != FORMAT:
-            raise ValueError(f"{value!r} is not a plan this version reads: {FORMAT!r} is (or leave it out)")
+            raise ValueError(f"{value!r} is not supported: use {FORMAT!r}, or omit the key")
         return value
 
     @field_validator("shots")
@@ -98,22 +98,22 @@ class _PlanModel(PlanFileModel):
         if not indices:
             return shots
         if len(indices) < len(shots):
-            raise ValueError("some have an index and some have none: give all or none")
+            raise ValueError("some shots have an index and some do not: give all or none")
         if sorted(indices) != list(range(len(shots))):
-            raise ValueError(f"index must count 0 to {len(shots) - 1}, each once, in shooting order")
+            raise ValueError(f"the indices must be 0 to {len(shots) - 1}, each once, in shooting order")
         return tuple(sorted(shots, key=lambda shot: shot.index or 0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanFile:
-    """What a plan file says; None where it is silent.
+    """The contents of a plan file; None for missing parts.
 
     Attributes:
-        source: the file, as the user named it.
-        method: how it was made; `foreign` if it does not say.
-        camera: the camera it is for.
-        constraints: what it was made to satisfy.
-        shots: in shooting order, rows numbered from the lowest pitch up.
+        source: path of the file as given by the user.
+        method: planning method; `foreign` if not given.
+        camera: camera of the plan.
+        constraints: constraints of the plan.
+        shots: shots in shooting order; rows are numbered from the lowest pitch up.
     """
 
     source: str
@@ -123,15 +123,15 @@ class PlanFile:
     shots: tuple[Shot, ...]
 
     def plan(self, *, camera: Camera | None = None, constraints: Constraints | None = None) -> Plan:
-        """The plan, for the camera and the constraints given, else for those of the file.
+        """The plan with the given camera and constraints, or with those of the file.
 
         Raises:
-            UsageError: neither the caller nor the file names the camera or the constraints.
+            UsageError: neither the caller nor the file gives the camera or the constraints.
         """
         use_camera = self.camera_for(camera)
         use_constraints = constraints or self.constraints
         if use_constraints is None:
-            raise UsageError(f"{self.source} has no constraints: give --overlap and --elevation MIN MAX")
+            raise UsageError(f"{self.source} contains no constraints: give --overlap and --elevation MIN MAX")
         return Plan(method=self.method, camera=use_camera, constraints=use_constraints, shots=self.shots)
 
     def camera_for(self, camera: Camera | None) -> Camera:
@@ -147,10 +147,10 @@ class PlanFile:
 
 
 def read_plan_file(path: Path) -> PlanFile:
-    """Read a plan file, ours or a foreign one.
+    """Read a plan file of panoexec or of another planner.
 
     Raises:
-        InputFileError: it cannot be read, is not JSON, or is wrong; with every problem.
+        InputFileError: the file cannot be read, is not JSON, or is invalid; the error lists every problem.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -173,13 +173,13 @@ def plan_from_data(data: object, *, source: str) -> PlanFile:
 
     Args:
         data: the document.
-        source: what to call it in messages.
+        source: name of the document in error messages.
 
     Raises:
-        InputFileError: with every problem.
+        InputFileError: the document is invalid; the error lists every problem.
     """
     if not isinstance(data, dict):
-        raise InputFileError(source, ["is not a plan: a JSON object with a list `shots` is expected"])
+        raise InputFileError(source, ["is not a plan: expected a JSON object with a list `shots`"])
     try:
         model = _PlanModel.model_validate(data)
     except ValidationError as error:
@@ -213,7 +213,7 @@ def plan_to_data(plan: Plan) -> dict[str, Any]:
 
 
 def camera_to_data(camera: Camera) -> dict[str, Any]:
-    """A camera as plan files and manifests name it."""
+    """A camera as written in plan files and manifests."""
     data: dict[str, Any] = {
         "name": camera.name,
         "sensor_width_mm": camera.sensor_width_mm,
@@ -230,7 +230,7 @@ def camera_to_data(camera: Camera) -> dict[str, Any]:
 
 
 def certificate_to_data(certificate: Certificate) -> dict[str, Any]:
-    """A certificate as plan files and manifests show it."""
+    """A certificate as written in plan files and manifests."""
     data = asdict(certificate)
     data["holes"] = [_hole_to_data(hole) for hole in certificate.holes]
     for key in ("failures", "bridges", "weakest_h"):
@@ -240,15 +240,15 @@ def certificate_to_data(certificate: Certificate) -> dict[str, Any]:
 
 
 def estimate_to_data(estimate: Estimate) -> dict[str, Any]:
-    """An estimate as plan files show it."""
+    """An estimate as written in plan files."""
     return asdict(estimate) | {"panorama_px": list(estimate.panorama_px)}
 
 
 def write_plan(path: Path, plan: Plan) -> None:
-    """Write the plan file; readers see the old or the new one.
+    """Write the plan file atomically.
 
     Raises:
-        UsageError: it cannot be written.
+        UsageError: the file cannot be written.
     """
     write_atomically(path, json.dumps(plan_to_data(plan), indent=1, allow_nan=False) + "\n")
 
@@ -268,12 +268,12 @@ def _shots(models: Sequence[_ShotModel]) -> tuple[Shot, ...]:
 
 
 def _wrapped(yaw_deg: float) -> float:
-    """The yaw in [-180, 180); untouched if it is there already, as wrapping may round in the last place."""
+    """The yaw in [-180, 180); unchanged if already in this range, because wrapping may round the last digit."""
     return yaw_deg if -180.0 <= yaw_deg < 180.0 else float(wrap_180(yaw_deg))
 
 
 def _with_rows(shots: Sequence[Shot]) -> list[Shot]:
-    """Number rows from the lowest pitch up; pitches closer than a thousandth of a degree are one row."""
+    """Number rows from the lowest pitch up; pitches that differ by less than 0.001° belong to one row."""
     rows: dict[int, int] = {}
     row, last = -1, -1000.0
     for shot in sorted(shots, key=lambda s: s.pitch_deg):

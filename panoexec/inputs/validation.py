@@ -1,4 +1,4 @@
-"""Pydantic's verdicts as lines for a user: the key, the value, and what would be accepted."""
+"""Validation errors of pydantic as lines of text: the key, the value, and what is accepted."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def problem_lines(error: ValidationError) -> list[str]:
 
 
 def _line(problem: dict[str, Any]) -> str:
-    key = dotted(problem["loc"]) or "the whole"
+    key = dotted(problem["loc"]) or "the document"
     kind = problem["type"]
     if kind == "missing":
         return f"{key} is missing"
     if kind == "extra_forbidden":
         return f"{key} is not a known key"
     if kind == "value_error":
-        # raised by our own validators, whose text says it all
+        # raised by validators of panoexec, whose text is complete
         text = str(problem["ctx"]["error"])
         return f"{key}: {text}" if problem["loc"] else text
     message = str(problem["msg"])
@@ -42,16 +42,16 @@ def dotted(location: tuple[int | str, ...]) -> str:
 
 
 def shown(value: object) -> str:
-    """A value as its file would write it, shortened."""
+    """The repr of a value, shortened."""
     text = repr(value)
     return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 1] + "…"
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file.
+    """Read the tables of a TOML file.
 
     Raises:
-        InputFileError: it cannot be read, is not UTF-8, or is not TOML (with line and column).
+        InputFileError: the file cannot be read, is not UTF-8, or is not TOML (with line and column).
     """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
@@ -62,5 +62,5 @@ def read_toml(path: Path) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         raise InputFileError(str(path), [f"is not valid TOML: {error}"]) from error
     except ValueError as error:
-        # a name that no file can have (a zero byte in it)
+        # an impossible file name (it contains a zero byte)
         raise InputFileError(repr(str(path)), [f"cannot be read: {error}"]) from error

@@ -1,1 +1,1 @@
-"""The ground station link over MQTT: payloads, topics, the connection, transactions, and a small ground station."""
+"""The MQTT interface: payloads, topics, broker connection, transactions, and a minimal ground station client."""

@@ -1,4 +1,4 @@
-"""When certificates are valid, and what the errors of a connection and its TLS handshake mean to whoever set it up."""
+"""Validity of certificates, and explanations for errors of the connection and its TLS handshake."""
 
 from __future__ import annotations
 
@@ -22,51 +22,51 @@ _GENERALIZED_TIME: Final = 0x18
 _MEANINGS: Final[tuple[tuple[str, str], ...]] = (
     (
         "certificate has expired",
-        "the broker's certificate has expired: renew it there, and look at this machine's clock",
+        "the broker's certificate has expired: renew it, or check the clock of this computer",
     ),
-    ("certificate is not yet valid", "the broker's certificate is not valid yet: look at this machine's clock"),
+    ("certificate is not yet valid", "the broker's certificate is not valid yet: check the clock of this computer"),
     ("unable to get local issuer", "the broker's certificate is not signed by mqtt.ca_file {ca}"),
     ("self-signed certificate", "the broker's certificate is not signed by mqtt.ca_file {ca}"),
     ("self signed certificate", "the broker's certificate is not signed by mqtt.ca_file {ca}"),
     ("signature failure", "the broker's certificate is not signed by mqtt.ca_file {ca}"),
     (
         "connection refused",
-        "nothing listens on {host}, port {port}: does the broker run, is that its port?",
+        "nothing listens on {host}, port {port}: check that the broker runs and uses this port",
     ),
-    ("no route to host", "{host} cannot be reached: is it on, is this machine on its network?"),
-    ("network is unreachable", "{host} cannot be reached: is this machine on a network?"),
-    ("name or service not known", "{host} is a name that nobody knows: look at its spelling and at the DNS"),
-    ("no address associated", "{host} is a name that nobody knows: look at its spelling and at the DNS"),
+    ("no route to host", "{host} cannot be reached: check that it is on and that this computer is on its network"),
+    ("network is unreachable", "{host} cannot be reached: check that this computer is on a network"),
+    ("name or service not known", "the host name {host} is unknown: check its spelling and the DNS"),
+    ("no address associated", "the host name {host} is unknown: check its spelling and the DNS"),
     (
         "failure in name resolution",
-        "the name {host} cannot be looked up: no network or no DNS; or give its address",
+        "the host name {host} cannot be resolved: no network or no DNS; or give its address",
     ),
-    ("timed out", "{host}, port {port} does not answer: is that the broker, does a firewall drop us?"),
-    ("mismatch", "the broker's certificate is for another name than mqtt.host {host}"),
-    ("wrong_version_number", "there is no TLS on mqtt.port {port}: leave out ca_file, or take the broker's TLS port"),
-    ("packet_length_too_long", "there is no TLS on mqtt.port {port}: leave out ca_file, or take the broker's TLS port"),
-    ("alert_certificate_expired", "the broker says that our certificate mqtt.cert_file {cert} has expired"),
-    ("alert certificate expired", "the broker says that our certificate mqtt.cert_file {cert} has expired"),
-    ("alert_unknown_ca", "the broker does not know the signer of our certificate mqtt.cert_file {cert}"),
-    ("alert unknown ca", "the broker does not know the signer of our certificate mqtt.cert_file {cert}"),
-    ("certificate_required", "the broker asks for a client certificate: give mqtt.cert_file and key_file"),
-    ("certificate required", "the broker asks for a client certificate: give mqtt.cert_file and key_file"),
+    ("timed out", "{host}, port {port} does not respond: check the address of the broker and firewalls"),
+    ("mismatch", "the broker's certificate is for a name other than mqtt.host {host}"),
+    ("wrong_version_number", "mqtt.port {port} does not use TLS: remove ca_file, or use the broker's TLS port"),
+    ("packet_length_too_long", "mqtt.port {port} does not use TLS: remove ca_file, or use the broker's TLS port"),
+    ("alert_certificate_expired", "the broker reports that the client certificate mqtt.cert_file {cert} has expired"),
+    ("alert certificate expired", "the broker reports that the client certificate mqtt.cert_file {cert} has expired"),
+    ("alert_unknown_ca", "the broker does not know the CA of the client certificate mqtt.cert_file {cert}"),
+    ("alert unknown ca", "the broker does not know the CA of the client certificate mqtt.cert_file {cert}"),
+    ("certificate_required", "the broker requires a client certificate: set mqtt.cert_file and key_file"),
+    ("certificate required", "the broker requires a client certificate: set mqtt.cert_file and key_file"),
 )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Validity:
-    """From when and until when a certificate is valid."""
+    """The validity period of a certificate."""
 
     begin: datetime
     end: datetime
 
     def problem(self, now: datetime) -> str:
-        """What is wrong with it at that moment; "" if nothing is."""
+        """Why the certificate is not valid at that time; "" if it is valid."""
         if now > self.end:
             return f"expired on {self.end:%Y-%m-%d %H:%M} UTC: renew it"
         if now < self.begin:
-            return f"is not valid before {self.begin:%Y-%m-%d %H:%M} UTC: is this machine's clock right?"
+            return f"is not valid before {self.begin:%Y-%m-%d %H:%M} UTC: check the clock of this computer"
         return ""
 
 
@@ -74,21 +74,21 @@ def certificate_validity(path: Path) -> Validity:
     """The validity of the first certificate in a PEM file.
 
     Raises:
-        UsageError: it cannot be read, or holds no certificate.
+        UsageError: the file cannot be read or contains no certificate.
     """
     try:
         return _validity(_first_certificate(path.read_text(encoding="ascii")))
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror})") from error
     except (ValueError, IndexError, binascii.Error) as error:
-        raise UsageError(f"{path}: holds no certificate ({error})") from error
+        raise UsageError(f"{path}: contains no certificate ({error})") from error
 
 
 def check_dates(settings: MqttSection) -> None:
-    """Refuse a client certificate whose time is over: a broker that refuses it seldom says why.
+    """Check the validity of the client certificate, because brokers rarely say why they reject it.
 
     Raises:
-        UsageError: naming file and date.
+        UsageError: the certificate is not valid now; the text names file and date.
     """
     if settings.cert_file is not None:
         problem = certificate_validity(settings.cert_file).problem(datetime.now(UTC))
@@ -97,7 +97,7 @@ def check_dates(settings: MqttSection) -> None:
 
 
 def explained(text: str, settings: MqttSection) -> str:
-    """The text of a failed connection, preceded by its meaning if that is known."""
+    """The error text of a failed connection, preceded by an explanation if one is known."""
     low = text.lower()
     for part, meaning in _MEANINGS:
         if part in low:
@@ -109,12 +109,12 @@ def explained(text: str, settings: MqttSection) -> str:
 def _first_certificate(pem: str) -> bytes:
     found = _PEM.search(pem)
     if found is None:
-        raise ValueError("there is none in it")
+        raise ValueError("no PEM block found")
     return ssl.PEM_cert_to_DER_cert(found.group())
 
 
 def _validity(der: bytes) -> Validity:
-    """Of X.509: Certificate { TBSCertificate { [0] version, serial, algorithm, issuer, Validity { …, … } } }."""
+    """Parse X.509: Certificate { TBSCertificate { [0] version, serial, algorithm, issuer, Validity { …, … } } }."""
     whole, _ = _element(der, _SEQUENCE)
     rest, _ = _element(whole, _SEQUENCE)
     if rest[0] == _VERSION:
@@ -128,7 +128,7 @@ def _validity(der: bytes) -> Validity:
 
 
 def _element(data: bytes, kind: int | None = None) -> tuple[bytes, bytes]:
-    """The content of the first DER element, and what comes after it."""
+    """The content of the first DER element, and the data after it."""
     if kind is not None and data[0] != kind:
         raise ValueError(f"found element {data[0]:#x} instead of {kind:#x}")
     length, start = data[1], 2
@@ -136,7 +136,7 @@ def _element(data: bytes, kind: int | None = None) -> tuple[bytes, bytes]:
         start += length & 0x7F
         length = int.from_bytes(data[2:start], "big")
     if len(data) < start + length:
-        raise ValueError("it is cut off")
+        raise ValueError("the data is truncated")
     return data[start : start + length], data[start + length :]
 
 

@@ -1,4 +1,4 @@
-"""The one client of the broker: fails at once and says why, leaves no socket behind, tells what was acknowledged."""
+"""The MQTT client: fails immediately with a reason, closes its socket, and reports acknowledgements."""
 
 from __future__ import annotations
 
@@ -20,37 +20,37 @@ from panoexec.mqtt.credentials import read_password, tls_context
 
 CONNECT_S: Final = 10.0
 _QUICK_ACK: Final[int | None] = getattr(socket, "TCP_QUICKACK", None)
-"""Linux has it."""
+"""Available on Linux only."""
 
 _log = structlog.get_logger(__name__)
 
 
 class BrokerClient(aiomqtt.Client):
-    """An aiomqtt client with what that keeps to itself.
+    """An aiomqtt client that also exposes protocol details.
 
     Attributes:
-        acknowledged: MQTT 5's reason code of the last acknowledged message; 128 and above are refusals.
-        most_unacknowledged: messages that the broker takes before it has acknowledged the first (MQTT 5).
-        largest_packet: bytes of a packet that it takes at most (MQTT 5), None if it does not say.
+        acknowledged: reason code (MQTT 5) of the last acknowledged message; 128 and above are rejections.
+        most_unacknowledged: receive maximum of the broker: number of unacknowledged messages (MQTT 5).
+        largest_packet: maximum packet size of the broker in bytes (MQTT 5), None if it does not announce one.
     """
 
     def __init__(self, **options: Any) -> None:
-        """As aiomqtt's."""
+        """Create a client with the options of aiomqtt's client."""
         self.acknowledged = 0
         self.most_unacknowledged = 65_535
         self.largest_packet: int | None = None
         self._trouble = _Trouble()
         self._abandoned = False
-        logger = logging.Logger("mqtt")  # noqa: LOG001  (not the library's: what it says belongs to this connection)
+        logger = logging.Logger("mqtt")  # noqa: LOG001  (a logger per connection)
         logger.addHandler(self._trouble)
-        logger.setLevel(self._trouble.level)  # paho remarks on each packet
+        logger.setLevel(self._trouble.level)  # paho logs every packet at debug level
         super().__init__(**options, logger=logger)
 
     async def __aenter__(self) -> Self:
-        """Connect; a connection that does not come about leaves nothing open.
+        """Connect; a failed connection leaves no socket open.
 
         Raises:
-            aiomqtt.MqttError: it did not.
+            aiomqtt.MqttError: the connection failed.
         """
         try:
             return await super().__aenter__()
@@ -59,13 +59,13 @@ class BrokerClient(aiomqtt.Client):
             self._client._sock_close()  # noqa: SLF001
             raise
 
-    # --- called by paho
+    # --- callbacks of paho
 
     def _on_disconnect(self, client: Any, userdata: Any, flags: Any, reason_code: Any, properties: Any = None) -> None:
-        # a broker that hangs up instead of answering (TLS 1.3 refuses our certificate so) would be waited for in vain
+        # without this, a broker that closes the connection (TLS 1.3 client certificate rejected) runs into the timeout
         if not self._connected.done():
             self._connected.set_exception(aiomqtt.MqttError(self._trouble.last or f"{reason_code}"))
-            self._connected.exception()  # somebody who stopped waiting need not be told
+            self._connected.exception()  # mark the exception as retrieved, the waiter may be gone
             return
         super()._on_disconnect(client, userdata, flags, reason_code, properties)
 
@@ -80,16 +80,16 @@ class BrokerClient(aiomqtt.Client):
         super()._on_publish(client, userdata, mid, reason_code, properties)
 
     def _on_socket_open(self, client: Any, userdata: Any, sock: Any) -> None:
-        if self._abandoned:  # it connected in its thread after we were cancelled
+        if self._abandoned:  # connected in its thread after the cancellation
             sock.close()
             return
         super()._on_socket_open(client, userdata, sock)
 
     def _acknowledge_at_once(self) -> None:
-        """Send TCP's acknowledgement of what was just read.
+        """Send the TCP acknowledgement of the received data immediately.
 
-        A broker that collects small packets (Nagle; mosquitto's default) holds the next message back until the one
-        before is acknowledged, which the kernel does only after 40 ms when we have nothing to say ourselves.
+        A broker with Nagle's algorithm (mosquitto's default) delays the next small packet until the previous one is
+        acknowledged. The kernel delays this acknowledgement by 40 ms if there is no data to send.
         """
         sock = self._client.socket()
         if _QUICK_ACK is not None and isinstance(sock, socket.socket):
@@ -98,7 +98,7 @@ class BrokerClient(aiomqtt.Client):
 
 
 class _Trouble(logging.Handler):
-    """Keeps the last error that the library would only print."""
+    """Keeps the last error that the library only logs."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -114,16 +114,16 @@ class _Trouble(logging.Handler):
 async def broker_client(
     settings: MqttSection, *, identifier: str = "", connect: Properties | None = None, **options: Any
 ) -> BrokerClient:
-    """A client as the settings say; entering it connects.
+    """Create a client from the settings; entering the context connects it.
 
     Args:
-        settings: broker and how to speak to it; `host` is set.
-        identifier: of the client; a random one, beginning with the given text, if that ends in a hyphen.
-        connect: properties of the connection (MQTT 5).
-        **options: of aiomqtt's client.
+        settings: broker and credentials; `host` is set.
+        identifier: client id; if it ends with a hyphen, a random suffix is appended.
+        connect: properties of the CONNECT packet (MQTT 5).
+        **options: options of aiomqtt's client.
 
     Raises:
-        UsageError: a password or certificate file is wrong, or our certificate has expired.
+        UsageError: a password or certificate file is invalid, or the client certificate has expired.
     """
     assert settings.host is not None
     password = await asyncio.to_thread(read_password, settings)
@@ -142,7 +142,7 @@ async def broker_client(
         keepalive=settings.keepalive_s,
         timeout=CONNECT_S,
         tls_context=tls,
-        # small packets must not wait for the acknowledgement of the one before (40 ms each)
+        # disable Nagle's algorithm, which delays small packets by up to 40 ms each
         socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
         **options,
     )

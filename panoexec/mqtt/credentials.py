@@ -1,4 +1,4 @@
-"""What the broker is to know us by: password and TLS, read from files anew at each attempt, so that they may change."""
+"""Credentials for the broker: password and TLS, read from their files at every connection attempt."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from panoexec.inputs.config import MqttSection
 
 
 def read_password(settings: MqttSection) -> str | None:
-    """The password, without the line end that editors add; None without a file.
+    """Read the password without its trailing line break; None without a file.
 
     Raises:
-        UsageError: the file cannot be read, is empty, or can be read by everybody.
+        UsageError: the file cannot be read, is empty, or is readable by everybody.
     """
     path = settings.password_file
     if path is None:
@@ -25,8 +25,8 @@ def read_password(settings: MqttSection) -> str | None:
         raise UsageError(f"mqtt.password_file {path}: cannot be read ({_reason(error)})") from error
     if mode & stat.S_IRWXO:
         raise UsageError(
-            f"mqtt.password_file {path}: everybody on this machine can read it (mode {stat.S_IMODE(mode):o}); "
-            "chmod 640 and give it to the service's group"
+            f"mqtt.password_file {path}: readable by everybody on this computer (mode {stat.S_IMODE(mode):o}); "
+            "chmod 640 and set its group to that of the service"
         )
     password = text.rstrip("\r\n")
     if not password:
@@ -35,10 +35,10 @@ def read_password(settings: MqttSection) -> str | None:
 
 
 def tls_context(settings: MqttSection) -> ssl.SSLContext | None:
-    """TLS as the settings say; None without a CA.
+    """The TLS context of the settings; None without a CA file.
 
     Raises:
-        UsageError: a file cannot be read, or is no certificate or key.
+        UsageError: a file cannot be read, or is not a certificate or key.
     """
     if settings.ca_file is None:
         return None
@@ -46,13 +46,13 @@ def tls_context(settings: MqttSection) -> ssl.SSLContext | None:
     try:
         context = ssl.create_default_context(cafile=str(settings.ca_file))
     except (ssl.SSLError, OSError) as error:
-        raise UsageError(f"mqtt.ca_file {settings.ca_file}: holds no certificates ({_reason(error)})") from error
+        raise UsageError(f"mqtt.ca_file {settings.ca_file}: contains no certificates ({_reason(error)})") from error
     context.sslsocket_class = _ClosedOnFailure
     if settings.cert_file is not None and settings.key_file is not None:
         _check_readable("cert_file", settings.cert_file)
         _check_readable("key_file", settings.key_file)
         try:
-            # without a callback OpenSSL would ask for the passphrase on the terminal, for ever
+            # without a callback OpenSSL asks for the passphrase on the terminal and blocks
             context.load_cert_chain(settings.cert_file, settings.key_file, password=lambda: "")
         except (ssl.SSLError, OSError, ValueError) as error:
             raise UsageError(
@@ -63,7 +63,7 @@ def tls_context(settings: MqttSection) -> ssl.SSLContext | None:
 
 
 class _ClosedOnFailure(ssl.SSLSocket):
-    """A failed handshake closes it: the library that made it forgets it then."""
+    """A socket that closes itself after a failed handshake, because paho does not."""
 
     def do_handshake(self, block: bool = False) -> None:
         try:
@@ -76,7 +76,7 @@ class _ClosedOnFailure(ssl.SSLSocket):
 
 
 def credential_problems(settings: MqttSection) -> list[str]:
-    """Everything that is wrong with the files, one line each; not their dates, for which the clock must be right."""
+    """All problems of the credential files, one line each; without validity dates, which need a correct clock."""
     problems = []
     for check in (read_password, tls_context):
         try:

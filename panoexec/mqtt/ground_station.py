@@ -1,4 +1,4 @@
-"""A small ground station: asks for things and listens, for the command line and for tests."""
+"""A minimal ground station client: sends requests and receives messages, for the command line and tests."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _KINDS: Final[dict[str, Kind]] = {"status": "status", "state": "state", "plan": 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heard:
-    """One message of a vehicle; `document` is parsed JSON, the plain text for `status`, None for a cleared topic."""
+    """A received message; `document` is parsed JSON, plain text for `status`, None for a cleared topic."""
 
     vehicle: str
     kind: Kind
@@ -36,10 +36,10 @@ class Heard:
 
 
 class GroundStation:
-    """An async context manager around one connection to the broker."""
+    """An async context manager for one connection to the broker."""
 
     def __init__(self, settings: MqttSection) -> None:
-        """Describe it; `settings.host` is set."""
+        """Create a client; `settings.host` must be set."""
         self._settings = settings
         self._five = settings.protocol == "5"
         self._stack = AsyncExitStack()
@@ -49,8 +49,8 @@ class GroundStation:
         """Connect.
 
         Raises:
-            LinkError: the broker cannot be reached or refuses.
-            UsageError: a password or certificate file is wrong.
+            LinkError: the broker cannot be reached or rejects the connection.
+            UsageError: a password or certificate file is invalid.
         """
         settings = self._settings
         assert settings.host is not None
@@ -59,7 +59,7 @@ class GroundStation:
             self._client = await self._stack.enter_async_context(client)
         except aiomqtt.MqttError as error:
             why = explained(str(error), settings)
-            raise LinkError(f"no broker at {settings.host}:{settings.port}: {why}") from error
+            raise LinkError(f"no connection to broker {settings.host}:{settings.port}: {why}") from error
         return self
 
     async def __aexit__(
@@ -69,22 +69,22 @@ class GroundStation:
         try:
             await self._stack.__aexit__(exc_type, exc, traceback)
         except aiomqtt.MqttError:
-            return  # it is gone anyway
+            return  # the connection is already lost
 
     async def request(
         self, vehicle: str, command: str, fields: dict[str, Any], *, timeout_s: float, expiry_s: int | None = None
     ) -> dict[str, Any]:
-        """Ask a vehicle for something and return the answer.
+        """Send a request to a vehicle and return the response.
 
         Args:
-            vehicle: its id.
-            command: what to do.
-            fields: of the request; a transaction is added if there is none.
-            timeout_s: how long to wait for the answer.
-            expiry_s: the broker drops the request after this (MQTT 5); the timeout, rounded up, if not given.
+            vehicle: vehicle id.
+            command: name of the command.
+            fields: request fields; a transaction is added if there is none.
+            timeout_s: response timeout.
+            expiry_s: message expiry (MQTT 5); default: the timeout, rounded up.
 
         Raises:
-            LinkError: no answer, or the broker was lost.
+            LinkError: no response within the timeout, or the connection to the broker was lost.
         """
         assert self._client is not None
         base = f"{self._settings.prefix}/{vehicle}"
@@ -105,20 +105,23 @@ class GroundStation:
                         return answer
         except TimeoutError as error:
             raise LinkError(
-                f"{vehicle} did not answer {command} within {timeout_s:g} s: is its status online (panoexec watch)?"
+                f"{vehicle} did not respond to {command} within {timeout_s:g} s: check its status (panoexec watch)"
             ) from error
         except aiomqtt.MqttError as error:
-            raise LinkError(f"the broker was lost: {error}") from error
+            raise LinkError(f"connection to the broker lost: {error}") from error
         raise AssertionError("the messages never end")
 
     async def listen(self, vehicle: str | None) -> AsyncGenerator[Heard, None]:
-        """What vehicles say, the retained things first.
+        """Receive the messages of vehicles, retained messages first.
 
         Args:
-            vehicle: its id; None for all below the prefix.
+            vehicle: vehicle id; None for all vehicles below the prefix.
+
+        Yields:
+            Each message.
 
         Raises:
-            LinkError: the broker was lost.
+            LinkError: the connection to the broker was lost.
         """
         assert self._client is not None
         prefix = self._settings.prefix
@@ -132,7 +135,7 @@ class GroundStation:
                     text = message.payload.decode(errors="replace")
                     yield Heard(vehicle=who, kind=kind, document=text if kind == "status" else _json(message.payload))
         except aiomqtt.MqttError as error:
-            raise LinkError(f"the broker was lost: {error}") from error
+            raise LinkError(f"connection to the broker lost: {error}") from error
 
 
 def _json(payload: object) -> Any:

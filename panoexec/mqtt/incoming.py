@@ -1,4 +1,4 @@
-"""Requests as they arrive from a broker: size, age, flags and where the answer is wanted."""
+"""Requests as received from the broker: size, age, flags and response topic."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from panoexec.mqtt.topics import Topics
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Incoming:
-    """A request as it arrived.
+    """A received request.
 
     Attributes:
-        command: the part of its topic after `request/`.
+        command: the part of the topic after `request/`.
         payload: bytes; empty if there were more than `MAX_PAYLOAD`.
-        size: of the payload as sent.
-        retained: the broker had kept it, or was asked to.
-        response_topic: where the answer is wanted besides; "" for nowhere.
-        correlation: to be sent back with it.
-        received_s: time.monotonic at its arrival.
-        expires_s: when it must not be obeyed any more; infinity without an expiry.
+        size: size of the original payload in bytes.
+        retained: whether the message was retained or published with the retain flag.
+        response_topic: additional topic for the response (MQTT 5); "" for none.
+        correlation: correlation data of the request (MQTT 5).
+        received_s: arrival time (time.monotonic).
+        expires_s: expiry time (time.monotonic); infinity without an expiry.
     """
 
     command: str
@@ -39,13 +39,13 @@ class Incoming:
 
 
 class _Cut(aiomqtt.Message):
-    """A message whose payload was thrown away for its size."""
+    """A message whose payload was discarded because of its size."""
 
     size: int = 0
 
 
 class Inbox(asyncio.Queue[aiomqtt.Message]):
-    """Keeps no payload that is too large to be read, so that a flood of them cannot fill the memory."""
+    """A queue that discards oversized payloads, so that a flood of them cannot exhaust the memory."""
 
     def _put(self, item: aiomqtt.Message) -> None:
         payload = item.payload
@@ -57,7 +57,7 @@ class Inbox(asyncio.Queue[aiomqtt.Message]):
 
 
 def incoming_of(message: aiomqtt.Message, topics: Topics) -> Incoming | None:
-    """Read what came with a message; None if somebody has only cleared a retained request."""
+    """The request in a message; None if the message only clears a retained request."""
     payload = message.payload if isinstance(message.payload, bytes) else b""
     retained = bool(message.retain)
     size = len(payload)

@@ -1,7 +1,7 @@
-"""The connection to the broker: opened again for ever, with a will, requests in, everything else out.
+"""The connection to the broker: reconnects without limit, receives requests and publishes all other topics.
 
-Nothing here waits for the broker on behalf of a mission: what is published goes into a bounded outbox and leaves it
-when the broker has acknowledged it (QoS 1), so a message may come twice but is not lost with a connection.
+A mission never waits for the broker: messages are put into a bounded outbox and removed when the broker has
+acknowledged them (QoS 1). A message can therefore be delivered twice, but it is not lost with a connection.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _REFUSED: Final = 128
 _TAKEN_OVER: Final = 142
 _AT_ONCE_S: Final = 3.0
 _HEAD: Final = 100
-"""Bytes of a packet besides topic, payload and correlation data."""
+"""Upper bound of the bytes of a packet without topic, payload and correlation data."""
 
 _log = structlog.get_logger(__name__)
 
@@ -54,10 +54,10 @@ class MqttLink:
     """Keeps a connection to the broker; `run` it in a task.
 
     Attributes:
-        topics: of the vehicle.
-        connected: whether the broker answers.
-        pulse_s: time.monotonic when the link last proved that it is not stuck.
-        reason: why there is no connection, "" if there is one.
+        topics: topics of the vehicle.
+        connected: whether there is a connection.
+        pulse_s: time.monotonic of the last progress of the task.
+        reason: why there is no connection; "" if connected.
     """
 
     def __init__(
@@ -69,14 +69,14 @@ class MqttLink:
         on_connected: Callable[[], None] = lambda: None,
         backoff_s: float = BACKOFF_S,
     ) -> None:
-        """Describe the link.
+        """Create the link.
 
         Args:
-            settings: broker and how to speak to it; `host` is set.
-            vehicle: its id.
-            on_request: takes each request, at once; must not raise.
+            settings: broker and credentials; `host` is set.
+            vehicle: vehicle id.
+            on_request: called with each request; must return immediately and not raise.
             on_connected: called at each connection, before anything is published.
-            backoff_s: wait after the first failure, doubled up to `BACKOFF_MOST_S`.
+            backoff_s: pause after the first failure, doubled up to `BACKOFF_MOST_S`.
         """
         self.topics = Topics(settings.prefix, vehicle)
         self.connected = False
@@ -97,14 +97,14 @@ class MqttLink:
         self._under_way: list[Outgoing] = []
         self._sent_s = -math.inf
 
-    # --- out
+    # --- publishing
 
     def publish(self, topic: str, payload: bytes, *, retain: bool = False, correlation: bytes | None = None) -> None:
-        """Publish as soon as the broker is there; never waits."""
+        """Queue a message, which is published as soon as the broker is connected; never blocks."""
         self.outbox.put(Outgoing(topic=topic, payload=payload, retain=retain, correlation=correlation))
 
     def respond(self, request: Incoming, payload: bytes) -> None:
-        """Answer a request: on the command's response topic, and where its sender wants it, if that is allowed."""
+        """Publish a response on the response topic of the command, and on that of the request if it is allowed."""
         usual = self.topics.response(request.command if is_topic_part(request.command) else "unknown")
         self.publish(usual, payload, correlation=request.correlation)
         if not request.response_topic or request.response_topic == usual:
@@ -112,17 +112,17 @@ class MqttLink:
         if self.topics.may_answer_at(request.response_topic):
             self.publish(request.response_topic, payload, correlation=request.correlation)
         else:
-            _log.warning("response topic refused", topic=request.response_topic[:200], allowed_below=self.topics.base)
+            _log.warning("response topic rejected", topic=request.response_topic[:200], allowed_below=self.topics.base)
 
-    # --- life
+    # --- connection
 
     def stop(self) -> None:
-        """Let `run` end: what waits is published if the broker is there, then `offline`."""
+        """Let `run` end after publishing the queued messages, if connected, and `offline`."""
         self._stopping.set()
         self.outbox.filled.set()
 
     async def run(self) -> None:
-        """Connect, and again after every loss, until `stop`."""
+        """Connect, and reconnect after every loss, until `stop`."""
         patience_s = self._backoff_s
         while not self._stopping.is_set():
             began = time.monotonic()
@@ -132,7 +132,7 @@ class MqttLink:
                 if time.monotonic() - began > _STEADY_S:
                     patience_s, self._short, self._said = self._backoff_s, 0, ""
                 elif self.connected:
-                    self._short += 1  # a broker ends the connection of a client when a second one comes with its name
+                    self._short += 1  # a broker disconnects a client when another one connects with the same client id
                 self._lost(error)
                 if self._blame(error):
                     patience_s = self._backoff_s
@@ -140,7 +140,7 @@ class MqttLink:
                 self.connected = False
             if self._stopping.is_set():
                 return
-            # full jitter: a fleet whose broker comes back does not come back at once
+            # jitter: the vehicles of a fleet must not all reconnect at the same time
             await self._pause(patience_s * random.uniform(0.5, 1.0))
             patience_s = min(2 * patience_s, BACKOFF_MOST_S)
 
@@ -153,7 +153,7 @@ class MqttLink:
                     await self._stopping.wait()
 
     async def _session(self) -> None:
-        """One connection, from its beginning to its end."""
+        """Run one connection until it ends."""
         client = await self._client()
         async with contextlib.AsyncExitStack() as stack:
             await self._until_stop(stack.enter_async_context(client))
@@ -169,20 +169,20 @@ class MqttLink:
             except aiomqtt.MqttError as error:
                 raise _with_reason(client, error) from error
             except asyncio.CancelledError:
-                # the client says goodbye to the broker, which then keeps the will to itself
+                # the client disconnects regularly, so the broker does not send the will
                 with contextlib.suppress(aiomqtt.MqttError, TimeoutError):
                     async with asyncio.timeout(_FAREWELL_S):
                         await client.publish(self.topics.status, OFFLINE, qos=1, retain=True)
                 raise
 
     async def _until_stop(self, connecting: object) -> None:
-        """Connect, but do not keep a stop waiting."""
+        """Connect; a stop request interrupts the attempt."""
         task = asyncio.ensure_future(connecting)  # type: ignore[call-overload]  # any awaitable
         stop = asyncio.create_task(self._stopping.wait(), name="mqtt stop")
         try:
             await asyncio.wait({task, stop}, return_when=asyncio.FIRST_COMPLETED, timeout=2 * CONNECT_S)
             if not task.done():
-                raise aiomqtt.MqttError("the broker does not answer")
+                raise aiomqtt.MqttError("the broker does not respond")
             await task
         finally:
             self.pulse_s = time.monotonic()
@@ -191,7 +191,7 @@ class MqttLink:
             await asyncio.gather(task, stop, return_exceptions=True)
 
     async def _talk(self, client: BrokerClient) -> None:
-        """Take requests and publish until the connection is lost or `stop`."""
+        """Receive requests and publish messages until the connection is lost or `stop`."""
         reading = asyncio.create_task(self._read(client), name="mqtt requests")
         sending = asyncio.create_task(self._send(client), name="mqtt outbox")
         try:
@@ -213,7 +213,7 @@ class MqttLink:
     async def _send(self, client: BrokerClient) -> None:
         while True:
             self.pulse_s = time.monotonic()
-            # the state that an event has changed goes out, and is acknowledged, together with it
+            # yield, so that an event and the state that it changes are sent in one batch
             await asyncio.sleep(0)
             batch = self._next(client)
             if batch:
@@ -227,7 +227,7 @@ class MqttLink:
                         await self.outbox.filled.wait()
 
     def _next(self, client: BrokerClient) -> list[Outgoing]:
-        """What the broker takes at once; what it never would is given up."""
+        """The next batch that the broker accepts; messages above its maximum packet size are dropped."""
         while True:
             batch = self.outbox.take(1 if self._suspicion.wary else min(_BATCH, client.most_unacknowledged))
             most = client.largest_packet
@@ -235,10 +235,10 @@ class MqttLink:
             if not large:
                 return batch
             for message in large:
-                self._give_up(message, f"the broker takes packets of {most} bytes at most")
+                self._give_up(message, f"exceeds the broker's maximum packet size of {most} bytes")
 
     async def _send_batch(self, client: aiomqtt.Client, batch: list[Outgoing]) -> None:
-        """Several at once, in order: a radio with a long way there and back must not be waited for each time."""
+        """Send several messages at once, in order, to avoid a round trip per message on slow radio links."""
         self._under_way, self._sent_s = list(batch), time.monotonic()
         sends = [
             asyncio.ensure_future(
@@ -261,33 +261,35 @@ class MqttLink:
         self._suspicion.acknowledged(batch, left=len(self.outbox))
 
     def _blame(self, error: Exception) -> bool:
-        """Whether the connection may have ended because of what was being sent, which is given up in the end."""
+        """Whether an unacknowledged message may have ended the connection; it is dropped after repeated failures."""
         waiting, self._under_way = self._under_way, []
         taken_over = getattr(getattr(error, "rc", None), "value", None) == _TAKEN_OVER
         if not waiting or taken_over or time.monotonic() - self._sent_s > _AT_ONCE_S:
             return False
         if self._suspicion.ended(waiting[0], alone=len(waiting) == 1):
-            self._give_up(waiting[0], f"the broker ends the connection at it ({error})")
+            self._give_up(waiting[0], f"the broker closes the connection when it is sent ({error})")
         return True
 
     def _give_up(self, message: Outgoing, why: str) -> None:
-        _log.error("a message was given up", topic=message.topic[:200], size=len(message.payload), error=why)
+        _log.error(
+            "message dropped: rejected by the broker", topic=message.topic[:200], size=len(message.payload), error=why
+        )
         self.outbox.give_up(message)
 
-    # --- details of the protocol
+    # --- protocol details
 
     async def _client(self) -> BrokerClient:
         connect = None
         if self._five:
             connect = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
-            # requests that are on their way when a radio loses us for seconds still come, unless they expire
+            # requests sent during a short loss of the connection are delivered afterwards, unless they expire
             connect.SessionExpiryInterval = _SESSION_EXPIRY_S
             connect.MaximumPacketSize = _LARGEST_PACKET
         return await broker_client(
             self._settings,
             identifier=f"panoexec-{self.topics.base.replace('/', '-')}",
             connect=connect,
-            # what was asked for while this process did not run is not obeyed by it
+            # discard requests that were sent before this process started
             clean_start=self._times == 0 if self._five else 3,
             clean_session=None if self._five else True,
             will=aiomqtt.Will(self.topics.status, OFFLINE, qos=1, retain=True),
@@ -298,14 +300,16 @@ class MqttLink:
 
     async def _subscribe(self, client: aiomqtt.Client) -> None:
         if self._five:
-            # the broker tells us which requests were published with the retain flag, so that they can be refused
+            # with retainAsPublished the retain flag of live requests is visible, so that they can be rejected
             options = SubscribeOptions(qos=1, retainAsPublished=True, retainHandling=0)
             answer = await client.subscribe(self.topics.requests, options=options)
         else:
             answer = await client.subscribe(self.topics.requests, qos=1)
         code = answer[0]
         if getattr(code, "value", code) >= _REFUSED:
-            raise aiomqtt.MqttError(f"the broker does not let us read {self.topics.requests}: look at its ACL")
+            raise aiomqtt.MqttError(
+                f"not permitted to subscribe to {self.topics.requests}: check the ACL of the broker"
+            )
 
     def _properties(self, message: Outgoing) -> Properties | None:
         if not self._five:
@@ -321,15 +325,19 @@ class MqttLink:
     def _lost(self, error: Exception) -> None:
         text = explained(str(error) or type(error).__name__, self._settings)
         if self._short >= _SUSPICIOUS and not self._suspicion.wary:
-            text = f"each connection ends at once: do two daemons have the vehicle id {self._vehicle!r}? ({text})"
+            text = (
+                f"connections end immediately: check whether two daemons use the vehicle id {self._vehicle!r} ({text})"
+            )
         self.reason = text
         if text != self._said:
-            _log.warning("no broker", host=self._settings.host, port=self._settings.port, error=text)
+            _log.warning(
+                "broker connection failed, retrying", host=self._settings.host, port=self._settings.port, error=text
+            )
         self._said = text
 
 
 def _with_reason(client: aiomqtt.Client, error: aiomqtt.MqttError) -> aiomqtt.MqttError:
-    """The error with the broker's reason for the end of the connection, which the client keeps to itself."""
+    """The error with the reason code of the disconnection, which aiomqtt does not expose."""
     ended = client._disconnected  # noqa: SLF001
     reason = ended.exception() if ended.done() and not ended.cancelled() else None
     return reason if isinstance(reason, aiomqtt.MqttError) else error
@@ -341,7 +349,7 @@ def _size(message: Outgoing) -> int:
 
 @contextlib.asynccontextmanager
 async def running(link: MqttLink) -> AsyncIterator[MqttLink]:
-    """The link while the block runs; says `offline` at its end."""
+    """Run the link during the block; publish `offline` at its end."""
     async with asyncio.TaskGroup() as group:
         group.create_task(link.run(), name="mqtt link")
         try:

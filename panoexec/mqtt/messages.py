@@ -1,6 +1,6 @@
-"""What the vehicle says over MQTT (docs/contract.md): answers and the state, as models and as bytes.
+"""Messages of the vehicle over MQTT (docs/contract.md): responses and the state, as models and as bytes.
 
-`asyncapi.yaml` is generated from these models and from those of the requests (`panoexec.mqtt.requests`).
+`asyncapi.yaml` is generated from these models and from the request models (`panoexec.mqtt.requests`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from panoexec.mqtt.requests import ErrorCode, Payload, RefusedRequestError, Tran
 
 
 class ErrorFields(Payload):
-    """Why a request was not obeyed."""
+    """Why a request was rejected or failed."""
 
     code: ErrorCode
     message: str
@@ -23,7 +23,7 @@ class ErrorFields(Payload):
 
 
 class Response(Payload):
-    """The answer to a request."""
+    """The response to a request."""
 
     transaction: Transaction | None
     status: Literal["ok", "error"]
@@ -32,7 +32,7 @@ class Response(Payload):
 
 
 class LinkFields(Payload):
-    """How a link does: whether it works, and seconds since something was heard (null: never)."""
+    """Status of a link: whether it works, and seconds since the last message (null: never)."""
 
     ok: bool
     age_s: Annotated[float, Field(ge=0)] | None
@@ -50,18 +50,18 @@ class State(Payload):
     """The retained state of the daemon and its mission.
 
     Attributes:
-        state: of the mission; `idle` without one.
-        mission_id: the mission that the other fields tell of; null without one.
+        state: state of the mission; `idle` without one.
+        mission_id: id of the mission that the other fields describe; null without one.
         shots_total, shots_done, attempts, retakes: counts.
-        shots: where each shot stands, in the order of their indices, equal neighbours together, for example
-            `d12 r1 c1 t42`: d done, r done by a retake, c being taken, a to be taken again, m missing (given up or left
-            out), t to do; empty without a mission.
-        current: index of the shot that is being taken.
-        eta_s: seconds until shooting is over.
-        reason: why it is in this state, for people.
-        resumable: mission that `resume` would go on with.
-        battery_frac: 0 to 1, null if unknown.
-        boot_id: of this process; seq counts states within it.
+        shots: status of each shot in the order of the indices, with equal neighbours combined, for example
+            `d12 r1 c1 t42`: d done, r done after a retake, c current, a to be retaken, m missing (given up or skipped),
+            t pending; empty without a mission.
+        current: index of the current shot.
+        eta_s: estimated seconds until the end of shooting.
+        reason: why the mission is in this state, as text.
+        resumable: id of the mission that `resume` would resume.
+        battery_frac: state of charge, 0 to 1; null if unknown.
+        boot_id: id of the process; `seq` counts states within it.
         time: ISO 8601 UTC.
     """
 
@@ -84,22 +84,22 @@ class State(Payload):
 
 
 def dump(model: BaseModel) -> bytes:
-    """A payload as bytes of JSON, ASCII, so that whatever a stranger sent can be echoed."""
+    """A payload as ASCII JSON bytes, so that any received text can be echoed."""
     return dump_json(model.model_dump(mode="python"))
 
 
 def dump_json(document: Any) -> bytes:
-    """A document as bytes of JSON."""
+    """A document as ASCII JSON bytes."""
     return json.dumps(document, separators=(",", ":"), allow_nan=False).encode("ascii")
 
 
 def ok(transaction: Transaction | None, data: dict[str, Any] | None = None) -> Response:
-    """The answer to a request that was obeyed."""
+    """The response to a request that was executed."""
     return Response(transaction=transaction, status="ok", data=data if data is not None else {})
 
 
 def failed(error: RefusedRequestError, transaction: Transaction | None = None) -> Response:
-    """The answer to a request that was not."""
+    """The response to a request that was rejected or failed."""
     known = transaction if transaction is not None else error.transaction
     fields = ErrorFields(code=error.code, message=error.message, field=error.field)
     return Response(transaction=known, status="error", error=fields)

@@ -1,4 +1,4 @@
-"""What waits to be published while the broker is away or slow: bounded, in order, the newest of each retained topic."""
+"""Queue of outgoing messages while the broker is lost or slow: bounded, in order, latest message per retained topic."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outgoing:
-    """One message.
+    """One outgoing message.
 
     Attributes:
-        topic: whole.
-        payload: as it goes out; empty and retained clears the topic.
-        retain: the broker keeps it for those who come later.
-        correlation: of the request that it answers (MQTT 5).
+        topic: complete topic.
+        payload: payload bytes; an empty retained message clears the topic.
+        retain: retain flag.
+        correlation: correlation data of the answered request (MQTT 5).
     """
 
     topic: str
@@ -26,15 +26,15 @@ class Outgoing:
 
 
 class Outbox:
-    """Retained topics hold their newest message and send it again to each new connection; all else is a queue.
+    """The latest message of each retained topic, sent again at each connection, and a queue of all other messages.
 
     Args:
-        limit: messages of the queue at most; beyond it the oldest are dropped.
-        limit_bytes: of their payloads likewise.
+        limit: maximum number of queued messages; the oldest ones are dropped beyond it.
+        limit_bytes: maximum total size of their payloads.
 
     Attributes:
-        dropped: messages that were given up.
-        filled: set while something waits.
+        dropped: number of dropped messages.
+        filled: set while messages are waiting.
     """
 
     def __init__(self, *, limit: int = 10_000, limit_bytes: int = 16 * 2**20) -> None:
@@ -51,7 +51,7 @@ class Outbox:
         return len(self._queue) + len(self._stale)
 
     def put(self, message: Outgoing) -> None:
-        """Take a message."""
+        """Add a message."""
         if message.retain:
             self._retained[message.topic] = message
             self._stale[message.topic] = None
@@ -64,13 +64,13 @@ class Outbox:
         self.filled.set()
 
     def renew(self) -> None:
-        """A new connection: what is retained goes out again, as the broker may have lost it."""
+        """Send all retained messages again after a new connection, because the broker may have lost them."""
         self._stale = dict.fromkeys(self._retained)
         if len(self):
             self.filled.set()
 
     def take(self, most: int) -> list[Outgoing]:
-        """The next messages, retained ones first; each must be `done` or goes out again."""
+        """The next messages, retained ones first; each is returned again until it is `done`."""
         out = [self._retained[topic] for topic in self._stale][:most]
         for message in self._queue:
             if len(out) >= most:
@@ -79,7 +79,7 @@ class Outbox:
         return out
 
     def give_up(self, message: Outgoing) -> None:
-        """No broker connection survives it: it does not go out any more."""
+        """Drop a message that the broker rejects."""
         if message.retain:
             if self._retained.get(message.topic) is message:
                 del self._retained[message.topic]
@@ -92,7 +92,7 @@ class Outbox:
             self.filled.clear()
 
     def done(self, message: Outgoing) -> None:
-        """The broker has it."""
+        """Remove a message that the broker has acknowledged."""
         if message.retain:
             if self._retained.get(message.topic) is message:
                 self._stale.pop(message.topic, None)
@@ -103,22 +103,22 @@ class Outbox:
 
 
 class Suspicion:
-    """Finds the message at which a broker ends the connection, for ever, if it is too large for it, say.
+    """Finds a message that repeatedly makes the broker close the connection, for example because it is too large.
 
-    After a connection that ended while several were on their way, they go one by one; the one at which the connection
-    ends `STRIKES` times in a row is guilty.
+    After a connection has ended with several unacknowledged messages, messages are sent one by one. A message with
+    which the connection ends `STRIKES` times in a row is identified as the cause.
     """
 
     STRIKES = 3
 
     def __init__(self) -> None:
         self.wary = False
-        """Whether messages should go one by one."""
+        """Whether messages should be sent one by one."""
         self._suspect: Outgoing | None = None
         self._strikes = 0
 
     def ended(self, message: Outgoing, *, alone: bool) -> bool:
-        """The connection ended with this message on its way; whether it is guilty."""
+        """Record that the connection ended with this unacknowledged message; returns whether it is the cause."""
         self.wary = True
         if not alone:
             return False
@@ -127,7 +127,7 @@ class Suspicion:
         return self._strikes >= self.STRIKES
 
     def acknowledged(self, messages: Sequence[Outgoing], *, left: int) -> None:
-        """The broker has these; so many others wait."""
+        """Record acknowledged messages and the number of messages that are still waiting."""
         if any(message is self._suspect for message in messages):
             self._suspect, self._strikes = None, 0
         if not left:

@@ -1,4 +1,4 @@
-"""What a broker lets a vehicle do: tried out under a name of its own, so that a running daemon is not disturbed."""
+"""Test of the permissions at a broker, with a separate client id so that a running daemon is not disconnected."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _REFUSED: Final = 128
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BrokerReport:
-    """What was tried at a broker.
+    """The result of the test.
 
     Attributes:
-        connect_s: until it let us in.
-        round_trip_s: of one acknowledged message.
-        may_read: requests to this vehicle.
-        may_write: answers of this vehicle; None with MQTT 3.1.1, which does not tell.
+        connect_s: time to connect.
+        round_trip_s: time until a message was acknowledged.
+        may_read: whether the vehicle can subscribe to its requests.
+        may_write: whether the vehicle can publish responses; None with MQTT 3.1.1, which does not report it.
     """
 
     connect_s: float
@@ -36,15 +36,15 @@ class BrokerReport:
 
 
 async def probe_broker(settings: MqttSection, *, vehicle: str) -> BrokerReport:
-    """Connect, ask for what a daemon needs, and leave.
+    """Connect, test the permissions that the daemon needs, and disconnect.
 
     Args:
         settings: broker and credentials; `host` is set.
-        vehicle: its id.
+        vehicle: vehicle id.
 
     Raises:
-        LinkError: it cannot be reached, or refuses; with the meaning of what TLS says.
-        UsageError: a password or certificate file is wrong, or a certificate has expired.
+        LinkError: the broker cannot be reached or rejects the connection; the text explains TLS errors.
+        UsageError: a password or certificate file is invalid, or a certificate has expired.
     """
     assert settings.host is not None
     topics, five = Topics(settings.prefix, vehicle), settings.protocol == "5"
@@ -56,11 +56,11 @@ async def probe_broker(settings: MqttSection, *, vehicle: str) -> BrokerReport:
             granted: Any = (await client.subscribe(topics.requests, qos=1))[0]
             may_read = int(getattr(granted, "value", granted)) < _REFUSED
             began = time.monotonic()
-            # nobody waits for an answer there, and a consumer of answers knows none without a transaction
+            # no client waits for this response, and clients ignore a response without a transaction
             await client.publish(topics.response("doctor"), b'{"transaction":null,"status":"ok"}', qos=1)
             round_trip_s = time.monotonic() - began
     except (aiomqtt.MqttError, TimeoutError, OSError) as error:
-        why = explained(str(error) or "it does not answer", settings)
-        raise LinkError(f"no broker at {settings.host}:{settings.port}: {why}") from error
+        why = explained(str(error) or "it does not respond", settings)
+        raise LinkError(f"no connection to broker {settings.host}:{settings.port}: {why}") from error
     may_write = client.acknowledged < _REFUSED if five else None
     return BrokerReport(connect_s=connect_s, round_trip_s=round_trip_s, may_read=may_read, may_write=may_write)

@@ -1,7 +1,7 @@
-"""Requests, read from bytes that a stranger may have sent (docs/contract.md).
+"""Requests, parsed from untrusted bytes (docs/contract.md).
 
-They are read strictly: an unknown key, a text where a number belongs or a number that is not finite is an error that
-names its field.
+Parsing is strict: an unknown key, a string instead of a number, or a number that is not finite is an error that names
+its field.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from panoexec.inputs.plan_options import PlanOptions
 from panoexec.inputs.validation import dotted, problem_lines
 
 MAX_PAYLOAD = 64 * 1024
-"""Bytes of a request, at most."""
+"""Maximum size of a request in bytes."""
 
 MAX_SHOT = 100_000
 
@@ -39,7 +39,7 @@ ErrorCode: TypeAlias = Literal[
     "overload",
     "internal",
 ]
-"""Why a request was not obeyed; docs/ground-station.md explains each."""
+"""Why a request was rejected or failed; docs/ground-station.md explains each code."""
 
 Transaction: TypeAlias = str | int
 
@@ -57,13 +57,13 @@ _LARGEST_INTEGER = 2**63
 
 
 class RefusedRequestError(PanoexecError):
-    """A request that is not obeyed, as the answer will say it.
+    """A request that is rejected, with the error of the response.
 
     Attributes:
-        code: for programs.
-        message: for people; names the value and what would be accepted.
-        field: dotted path of the field that is wrong, or None.
-        transaction: of the request as far as it could be read, else None.
+        code: machine-readable code.
+        message: text that names the value and what is accepted.
+        field: dotted path of the invalid field, or None.
+        transaction: transaction of the request if it could be parsed, otherwise None.
     """
 
     def __init__(
@@ -77,21 +77,21 @@ class RefusedRequestError(PanoexecError):
 
 
 class Payload(BaseModel):
-    """A JSON object; a key that it does not know is an error."""
+    """A JSON object; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Request(Payload):
-    """What all requests have.
+    """The common fields of all requests.
 
     Attributes:
-        transaction: names the request; the same one twice gets the same answer and acts once.
+        transaction: id of the request; a repeated request gets the same response and is executed once.
     """
 
     command: ClassVar[str] = ""
     acts: ClassVar[bool] = True
-    """Whether it changes anything: then its answer is kept across restarts."""
+    """Whether the request has an effect; its response is then kept across restarts."""
 
     transaction: Annotated[Any, Field(json_schema_extra=_TRANSACTION_SCHEMA)]
 
@@ -99,12 +99,12 @@ class Request(Payload):
     @classmethod
     def _is_an_id(cls, value: object) -> Transaction:
         if not _is_transaction(value):
-            raise ValueError("must be a text of 1 to 128 characters, or a whole number")
+            raise ValueError("must be a string of 1 to 128 characters, or an integer")
         return cast("Transaction", value)
 
 
 class ToleranceFields(Payload):
-    """Largest accepted pointing error of each axis, degrees; what is missing comes from the configuration."""
+    """Maximum pointing error of each axis, degrees; missing values are taken from the configuration."""
 
     pitch: ToleranceDeg | None = None
     roll: ToleranceDeg | None = None
@@ -112,19 +112,19 @@ class ToleranceFields(Payload):
 
 
 class PlanRequest(Request):
-    """Compute a plan, change nothing. What is missing comes from the configuration.
+    """Compute a plan without flying it. Missing fields are taken from the configuration.
 
     Attributes:
-        camera: name of a profile, or a table with a profile's keys.
-        overlap: of neighbours, fraction of the image area; or `overlap_h` and `overlap_v`.
-        elevation_deg: band to cover, [min, max].
-        azimuth_deg: sector to cover, clockwise from min to max.
-        tolerance_deg: pointing errors to survive.
-        guarantee: what holds for every error: coverage, or the overlaps too.
-        reference: what yaw 0 means: true north, or the vehicle's heading at the start.
-        method: planner.
-        order: of shooting.
-        plan: a whole plan file instead of one to be computed.
+        camera: name of a profile, or a table with the keys of a profile.
+        overlap: overlap of neighbouring images, fraction of the image area; or `overlap_h` and `overlap_v`.
+        elevation_deg: elevation range to cover, [min, max].
+        azimuth_deg: azimuth range to cover, clockwise from min to max.
+        tolerance_deg: maximum pointing errors.
+        guarantee: conditions that hold for all errors within tolerance: coverage only, or also the overlaps.
+        reference: direction of yaw 0: true north, or the vehicle's heading at the start.
+        method: planning method.
+        order: shooting order.
+        plan: a plan file instead of a plan to be computed.
     """
 
     command: ClassVar[str] = "plan"
@@ -168,9 +168,11 @@ class PlanRequest(Request):
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         if self.overlap is not None and (self.overlap_h is not None or self.overlap_v is not None):
-            raise ValueError("overlap and overlap_h, overlap_v exclude each other: give the one or the others")
+            raise ValueError(
+                "overlap and overlap_h, overlap_v exclude each other: give overlap, or overlap_h and overlap_v"
+            )
         if self.plan is not None and (self.method is not None or self.order is not None):
-            raise ValueError("a plan has its method and its order: leave out method and order, or the plan")
+            raise ValueError("a plan includes its method and order: omit method and order, or omit the plan")
         return self
 
     def options(self) -> PlanOptions:
@@ -192,7 +194,7 @@ class PlanRequest(Request):
 
 
 class StartRequest(PlanRequest):
-    """Fly a panorama: fields as for `plan`."""
+    """Start a mission; same fields as `plan`."""
 
     command: ClassVar[str] = "start"
     acts: ClassVar[bool] = True
@@ -206,13 +208,13 @@ class PauseRequest(Request):
 
 
 class ResumeRequest(Request):
-    """Go on after a pause, or with the interrupted mission that the state offers."""
+    """Continue after a pause, or resume the interrupted mission that the state shows as `resumable`."""
 
     command: ClassVar[str] = "resume"
 
 
 class AbortRequest(Request):
-    """End the mission for good."""
+    """End the mission permanently."""
 
     command: ClassVar[str] = "abort"
     reason: Text = ""
@@ -226,28 +228,28 @@ class FinishRequest(Request):
 
 
 class SkipRequest(Request):
-    """Leave a shot out; the current one if none is named."""
+    """Skip a shot; the current one if `shot` is missing."""
 
     command: ClassVar[str] = "skip"
     shot: ShotIndex | None = None
 
 
 class RepeatRequest(Request):
-    """Take a shot again; the last accepted one if none is named."""
+    """Retake a shot; the last accepted one if `shot` is missing."""
 
     command: ClassVar[str] = "repeat"
     shot: ShotIndex | None = None
 
 
 class GetRequest(Request):
-    """Answer with the state, and publish state and plan anew."""
+    """Return the state, and publish state and plan again."""
 
     command: ClassVar[str] = "get"
     acts: ClassVar[bool] = False
 
 
 class SetProfileRequest(Request):
-    """Use this camera from the next mission on, until it is set again; null goes back to the configuration's."""
+    """Set the camera of the following missions; null: the configured camera."""
 
     command: ClassVar[str] = "set_profile"
     camera: Annotated[Any, Field(json_schema_extra={"anyOf": [*_CAMERA_SCHEMA["anyOf"], {"type": "null"}]})]
@@ -273,24 +275,24 @@ REQUESTS: dict[str, type[Request]] = {
         SetProfileRequest,
     )
 }
-"""The model of each command."""
+"""The request model of each command."""
 
 
 def parse_request(command: str, payload: bytes, *, retained: bool = False, size: int | None = None) -> Request:
-    """Read a request.
+    """Parse a request.
 
     Args:
-        command: the last part of its topic.
-        payload: as it came.
-        retained: whether the broker had kept it: a command is an action and must not lie in wait.
-        size: of the payload if that was cut off for its size.
+        command: the last level of the topic.
+        payload: the received payload.
+        retained: whether the message was retained; retained commands are rejected.
+        size: size of the original payload, if it was discarded because of its size.
 
     Raises:
-        RefusedRequestError: it cannot be obeyed; the transaction is set as far as it could be read.
+        RefusedRequestError: the request is invalid; the transaction is set if it could be parsed.
     """
     length = len(payload) if size is None else size
     if length > MAX_PAYLOAD:
-        raise RefusedRequestError("too_large", f"the payload has {length} bytes: at most {MAX_PAYLOAD} are read")
+        raise RefusedRequestError("too_large", f"the payload has {length} bytes: at most {MAX_PAYLOAD} are accepted")
     try:
         data = _parse_json(payload)
     except RefusedRequestError:
@@ -315,14 +317,14 @@ def _check_topic(command: str, *, retained: bool, transaction: Transaction | Non
     if command not in REQUESTS:
         raise RefusedRequestError(
             "unknown_command",
-            f"there is no command {command[:40]!r}: commands are {', '.join(REQUESTS)}",
+            f"unknown command {command[:40]!r}: commands are {', '.join(REQUESTS)}",
             transaction=transaction,
         )
     if retained:
         raise RefusedRequestError(
             "retained",
-            "the request was published with the retain flag: it is refused, as it would act again whenever the vehicle "
-            "connects; clear the topic and publish it without the flag",
+            "the request was published with the retain flag and would be executed again whenever the vehicle connects: "
+            "clear the topic and publish the request without the flag",
             transaction=transaction,
         )
 
@@ -349,12 +351,12 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(data) < len(pairs):
         keys = [key for key, _ in pairs]
         twice = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(f"key {twice[:40]!r} comes twice")
+        raise ValueError(f"key {twice[:40]!r} is duplicated")
     return data
 
 
 def _no_constant(name: str) -> float:
-    raise ValueError(f"{name} is no JSON number")
+    raise ValueError(f"{name} is not a JSON number")
 
 
 def _is_transaction(value: object) -> bool:
@@ -370,7 +372,7 @@ def _pair(value: list[float] | None) -> tuple[float, float] | None:
 def _camera(value: object) -> object:
     if value is None or isinstance(value, dict):
         return value
-    # a name and never a path: strangers must not have files of the vehicle read
+    # a name, never a path: requests must not cause files of the vehicle to be read
     if isinstance(value, str) and _PROFILE_NAME.fullmatch(value) and not value.endswith(".toml"):
         return value
-    raise ValueError("must be the name of a camera profile, or a table with a profile's keys")
+    raise ValueError("must be the name of a camera profile, or a table with the keys of a profile")

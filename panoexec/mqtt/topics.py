@@ -1,4 +1,4 @@
-"""The topics of one vehicle (docs/contract.md), and where somebody may have an answer sent."""
+"""The topics of one vehicle (docs/contract.md), and the rule for response topics."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Final
 
 _LONGEST: Final = 512
 _DEEPEST: Final = 32
-"""Levels; mosquitto ends the connection at more than 200."""
+"""Maximum number of levels; mosquitto closes the connection at more than 200."""
 
 
 class Topics:
@@ -21,18 +21,18 @@ class Topics:
         self.requests = f"{self.base}/request/#"
 
     def request(self, command: str) -> str:
-        """Where a command is asked for."""
+        """The request topic of a command."""
         return f"{self.base}/request/{command}"
 
     def response(self, command: str) -> str:
-        """Where it is answered."""
+        """The response topic of a command."""
         return f"{self.base}/response/{command}"
 
     def may_answer_at(self, topic: str) -> bool:
-        """Whether a requester may choose this topic for an answer: below ours, and none that means something else."""
+        """Whether a response may be sent to this topic: below the base topic and not used for anything else."""
         if not topic.startswith(f"{self.base}/") or any(char in topic for char in "+#") or not topic.isprintable():
             return False
-        # a topic that a broker does not bear would cost us the connection, each time anew
+        # a broker closes the connection at a topic that it rejects, and would do so again after each reconnection
         if len(topic.encode()) > _LONGEST or topic.count("/") >= _DEEPEST:
             return False
         first = topic.removeprefix(f"{self.base}/").partition("/")[0]
@@ -40,5 +40,5 @@ class Topics:
 
 
 def is_topic_part(text: str) -> bool:
-    """Whether it may stand between two slashes of a topic of ours."""
+    """Whether the text is a valid topic level."""
     return 0 < len(text) <= 64 and text.replace("_", "").replace("-", "").isalnum() and text.isascii()

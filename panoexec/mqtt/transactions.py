@@ -6,8 +6,8 @@ the storage: it is noted before it acts and its answer after, both durable. A re
 belongs to a process that died in between: nobody knows whether it acted, so it does not act again. The file also keeps
 the few things that the daemon must remember (`remember`, `recall`).
 
-A disk that is full or read-only may be well again: the store can be opened all the same, refuses what acts until then,
-and opens its file when it is asked for the next time.
+A full or read-only disk may recover: the store can be opened nevertheless, rejects requests with an effect until then,
+and tries to open its file again at the next use.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class Transactions:
         """Open the file if that was not possible yet; why the storage cannot be used, "" if it is open.
 
         Args:
-            patient: a storage that is full or read-only is told, not raised.
+            patient: return the reason instead of raising if the storage is full or read-only.
 
         Raises:
             UsageError: it cannot be made, is damaged, or is in use by another daemon.

@@ -18,7 +18,9 @@ _MAX_SPEEDUP = 100.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare all options but the camera's."""
     add_link_arguments(parser)
-    parser.add_argument("--output", type=Path, metavar="DIR", help="where photos and truth.jsonl go (no photos)")
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR", help="folder for photos and truth.jsonl (default: no photos)"
+    )
     parser.add_argument("--on-ground", action="store_true", help="start disarmed on the ground instead of hovering")
     add_vehicle_arguments(parser)
 
@@ -30,51 +32,57 @@ def add_link_arguments(parser: argparse.ArgumentParser) -> None:
         "--port",
         type=int,
         metavar="N",
-        help="UDP port that MAVSDK or a ground station listens on (14540 and 14550); with --listen the port to wait on",
+        help="UDP port of MAVSDK or the ground station (14540 and 14550); with --listen: local port to bind",
     )
-    link.add_argument("--host", default="127.0.0.1", help="where that port is (127.0.0.1)")
-    link.add_argument("--listen", action="store_true", help="wait on the port for a client, instead of sending to it")
+    link.add_argument("--host", default="127.0.0.1", help="host of that port (127.0.0.1)")
+    link.add_argument("--listen", action="store_true", help="wait for a client on the port instead of sending to it")
     link.add_argument(
-        "--attach", metavar="URL", help="only the payload, joined to a real autopilot: tcp:HOST:PORT, udpout:…, udpin:…"
+        "--attach",
+        metavar="URL",
+        help="simulate only the payload, attached to a real autopilot: tcp:HOST:PORT, udpout:…, udpin:…",
     )
 
 
 def add_vehicle_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what is simulated."""
     vehicle = parser.add_argument_group("simulated vehicle")
-    vehicle.add_argument("--autopilot", choices=("ardupilot", "px4"), default="ardupilot", help="whose habits to show")
+    vehicle.add_argument("--autopilot", choices=("ardupilot", "px4"), default="ardupilot", help="autopilot to emulate")
     vehicle.add_argument(
         "--mount",
         choices=("mavlink", "servo"),
         default="mavlink",
-        help="a MAVLink gimbal that measures itself, or servos whose demanded angles are reported",
+        help="gimbal: MAVLink gimbal that reports measured angles, or servos that report demanded angles",
     )
     vehicle.add_argument(
         "--trigger",
         choices=("mavlink", "servo"),
         default="mavlink",
-        help="a MAVLink camera, or a trigger on the autopilot whose only proof is CAMERA_FEEDBACK",
+        help="camera: MAVLink camera, or servo trigger on the autopilot, reported only by CAMERA_FEEDBACK",
     )
     vehicle.add_argument("--wind", type=float, metavar="M_S", help="steady wind in m/s (2)")
     world = parser.add_argument_group("simulated world")
-    world.add_argument("--scene", type=Path, metavar="EQUIRECT.jpg", help="what there is to see (generated)")
-    world.add_argument("--seed", type=int, default=1, metavar="N", help="of everything random (1)")
-    world.add_argument("--speedup", type=float, default=1.0, metavar="N", help="simulated seconds a second (1)")
+    world.add_argument(
+        "--scene", type=Path, metavar="EQUIRECT.jpg", help="equirectangular image of the scene (generated)"
+    )
+    world.add_argument("--seed", type=int, default=1, metavar="N", help="random seed (1)")
+    world.add_argument(
+        "--speedup", type=float, default=1.0, metavar="N", help="speed-up: simulated seconds per second (1)"
+    )
     world.add_argument(
         "--fault",
         action="append",
         default=[],
         metavar="NAME[=VALUE]",
-        help=f"what goes wrong, repeatable: {', '.join(sorted(FAULTS))}; VALUE: docs/simulator.md",
+        help=f"fault to inject (repeatable): {', '.join(sorted(FAULTS))}; VALUE: docs/simulator.md",
     )
-    world.add_argument("--image-width", type=int, default=800, metavar="PX", help="of the photos written (800)")
+    world.add_argument("--image-width", type=int, default=800, metavar="PX", help="width of the written photos (800)")
     world.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="NAME=VALUE",
         dest="assignments",
-        help="any other number, repeatable, like gimbal.yaw.rate_deg_s=45 (docs/simulator.md)",
+        help="set any other parameter (repeatable), e.g. gimbal.yaw.rate_deg_s=45 (docs/simulator.md)",
     )
 
 

@@ -54,5 +54,5 @@ def test_holes_are_found_and_complete_plans_are_complete(
     # nothing is done twice
     assert run([*arguments, "--output", str(tmp_path)]) == 0
     captured = capsys.readouterr()
-    assert captured.err.count("done before") == 2
+    assert captured.err.count("already done") == 2
     assert "100.00 %" in captured.out

@@ -130,7 +130,7 @@ def test_every_fault_of_the_simulator_is_flown() -> None:
 
 def test_the_documentation_has_each_fault_with_its_reaction_and_its_state() -> None:
     text = (ROOT / "docs" / "mission.md").read_text(encoding="utf-8")
-    section = text[text.index("## Faults") : text.index("## What the pilot hears")]
+    section = text[text.index("## Faults") : text.index("## Messages to the pilot")]
     ends: dict[str, set[str]] = {}
     for line in section.splitlines():
         cells = [cell.strip() for cell in line.strip("|").split(" | ")]

@@ -80,7 +80,7 @@ def test_the_report_goes_without_a_picture_and_the_experiment_says_what_it_needs
     directory = photographed(tmp_path / "20260921T141300.000Z", width_px=32)
     done = python(RUN, "report", str(directory.path))
     assert done.returncode == 0, done.stderr
-    assert "no picture of the sphere: needs Pillow: pip install 'panoexec[report]'" in done.stderr
+    assert "no panorama: needs Pillow: pip install 'panoexec[report]'" in done.stderr
     assert 'id="panorama-jpeg"' not in directory.report.read_text(encoding="utf-8")
     done = python(RUN, "experiment", "--scenario", "1", "--output", str(tmp_path / "out"))
     assert done.returncode == 2

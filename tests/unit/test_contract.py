@@ -14,7 +14,7 @@ import pytest
 
 import panoexec
 from panoexec import errors
-from panoexec.cli.app import EXIT_DONE, EXIT_INTERRUPTED, VERBS, parser_of
+from panoexec.cli.app import COMMANDS, EXIT_DONE, EXIT_INTERRUPTED, parser_of
 from panoexec.inputs import plan_file
 from panoexec.inputs.config import Config
 from panoexec.mission.log.events import Event
@@ -55,7 +55,7 @@ def between(text: str, start: str, end: str) -> list[str]:
 
 
 def options(verb: str) -> set[str]:
-    parser: argparse.ArgumentParser = parser_of(verb, importlib.import_module(f"panoexec.cli.{VERBS[verb].module}"))
+    parser: argparse.ArgumentParser = parser_of(verb, importlib.import_module(f"panoexec.cli.{COMMANDS[verb].module}"))
     return {option for action in parser._actions for option in action.option_strings}
 
 
@@ -70,7 +70,7 @@ def shape(value: Any) -> Any:
 
 def test_verbs_and_their_options() -> None:
     verbs = rows("Command line")
-    assert set(verbs) == set(VERBS)
+    assert set(verbs) == set(COMMANDS)
     for verb, text in verbs.items():
         assert {span for span in code(text) if span.startswith("--")} <= options(verb), verb
 
@@ -140,13 +140,13 @@ def test_sections_of_the_configuration() -> None:
 @pytest.mark.parametrize("verb", ["import", "missions", "fetch", "web", "calibrate", "salvage", "demo"])
 def test_what_is_planned_is_not_there_yet(verb: str) -> None:
     """What is built has to move up."""
-    assert verb not in VERBS
+    assert verb not in COMMANDS
     assert re.search(rf"`{verb}[ `]", PLANNED)
 
 
 def test_options_that_are_planned_are_not_there_yet() -> None:
     built_for_others = {"--dry-run", "--json", "--listen", "--set"}  # named there, of verbs that have them
-    known = {option for verb in VERBS for option in options(verb)} - built_for_others
+    known = {option for verb in COMMANDS for option in options(verb)} - built_for_others
     assert not known & set(re.findall(r"--[a-z-]+", PLANNED))
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 import panoexec
-from panoexec.cli.app import VERBS, parser_of
+from panoexec.cli.app import COMMANDS, parser_of
 from panoexec.errors import UsageError
 from panoexec.inputs.config import Config
 from tests.repository import ROOT
@@ -48,7 +48,7 @@ def code_lines(text: str) -> list[str]:
 
 
 def commands(line: str) -> Iterator[list[str]]:
-    """The arguments of each `panoexec` in a line of shell, the verb first."""
+    """The arguments of each `panoexec` in a line of shell, the command first."""
     for command in re.split(r"&&|[;&|]", line):
         found = re.match(r"\s*(?:runuser -u panoexec -- )?(?:\w+=\S* )*(?:\.venv/bin/)?panoexec (.*)", command)
         if found:
@@ -60,17 +60,17 @@ def typed(document: Path) -> list[list[str]]:
 
 
 def mentioned(document: Path) -> list[list[str]]:
-    """Also those that begin with the verb: `dry-run --resume`."""
+    """Also those that begin with the command: `dry-run --resume`."""
     spans = [
-        f"panoexec {span}" if re.match(rf"({'|'.join(VERBS)}) --", span) else span
+        f"panoexec {span}" if re.match(rf"({'|'.join(COMMANDS)}) --", span) else span
         for span in INLINE.findall(prose_of(document))
     ]
     return [words for span in spans for words in commands(span)]
 
 
-def parser(verb: str, *, lenient: bool = False) -> argparse.ArgumentParser:
-    module = importlib.import_module(f"panoexec.cli.{VERBS[verb].module}")
-    made = parser_of(verb, module)
+def parser(command: str, *, lenient: bool = False) -> argparse.ArgumentParser:
+    module = importlib.import_module(f"panoexec.cli.{COMMANDS[command].module}")
+    made = parser_of(command, module)
     if lenient:
         for action in made._actions:
             action.required = False
@@ -83,7 +83,7 @@ def parse(words: list[str], *, lenient: bool = False) -> None:
     Raises:
         UsageError: it would be refused.
     """
-    intermixed = getattr(importlib.import_module(f"panoexec.cli.{VERBS[words[0]].module}"), "INTERMIXED", False)
+    intermixed = getattr(importlib.import_module(f"panoexec.cli.{COMMANDS[words[0]].module}"), "INTERMIXED", False)
     made = parser(words[0], lenient=lenient)
     if words[1:] != ["--help"]:
         (made.parse_intermixed_args if intermixed else made.parse_args)(words[1:])
@@ -108,7 +108,7 @@ def test_the_readers_of_documents_find_what_is_in_them() -> None:
     assert ["dry-run", "--sitl", "--speedup", "5"] in sitl
     assert len(sitl) == 3
     assert sum(len(typed(document)) for document in DOCUMENTS) >= 15
-    assert "what-the-pilot-hears" in anchors(ROOT / "docs" / "mission.md")
+    assert "messages-to-the-pilot-statustext" in anchors(ROOT / "docs" / "mission.md")
     with pytest.raises(UsageError, match="--speed"):
         parse(["dry-run", "--speed", "20"])
 
@@ -118,14 +118,14 @@ def test_command_lines_are_accepted(document: Path) -> None:
     for words in typed(document):
         parse(words)
     for words in mentioned(document):
-        assert words[0] in VERBS, words
+        assert words[0] in COMMANDS, words
         if len(words) > 1:
             parse(words, lenient=True)
 
 
-@pytest.mark.parametrize("verb", VERBS)
-def test_examples_of_help_texts_are_accepted(verb: str) -> None:
-    text = importlib.import_module(f"panoexec.cli.{VERBS[verb].module}").__doc__
+@pytest.mark.parametrize("command", COMMANDS)
+def test_examples_of_help_texts_are_accepted(command: str) -> None:
+    text = importlib.import_module(f"panoexec.cli.{COMMANDS[command].module}").__doc__
     assert text is not None
     # what an example does may stand beside it
     for line in re.findall(r"^  (panoexec .*?)(?: {2,}.*)?$", text, re.MULTILINE):
@@ -135,7 +135,7 @@ def test_examples_of_help_texts_are_accepted(verb: str) -> None:
 
 @each_document
 def test_options_exist(document: Path) -> None:
-    known = {option for verb in VERBS for action in parser(verb)._actions for option in action.option_strings}
+    known = {option for command in COMMANDS for action in parser(command)._actions for option in action.option_strings}
     for span in INLINE.findall(prose_of(document)):
         if span.startswith("--"):
             option = re.split(r"[ =]", span)[0]

@@ -276,7 +276,7 @@ async def test_two_daemons_with_one_vehicle_id_are_told(broker: Broker) -> None:
         await eventually(lambda: first.connected)
         async with running(a_link(broker, requests)) as second:
             await eventually(lambda: second.connected)
-            told = "do two daemons have the vehicle id 'drone'?"
+            told = "check whether two daemons use the vehicle id 'drone'"
             await eventually(lambda: told in first.reason or told in second.reason)
     assert not requests
 

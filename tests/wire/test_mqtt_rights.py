@@ -106,7 +106,7 @@ async def test_a_wrong_password_is_told(tmp_path: Path, broker: Broker) -> None:
 
 async def test_the_ground_station_says_when_nobody_answers(tmp_path: Path, broker: Broker) -> None:
     async with GroundStation(credentials(tmp_path, broker, "ground")) as ground:
-        with pytest.raises(LinkError, match=r"drone did not answer get within 0\.3 s"):
+        with pytest.raises(LinkError, match=r"drone did not respond to get within 0\.3 s"):
             await ground.request("drone", "get", {}, timeout_s=0.3)
 
 
@@ -117,7 +117,7 @@ def test_a_password_that_everybody_can_read_is_refused(tmp_path: Path) -> None:
     section = MqttSection(host="h", username="u", password_file=file, ca_file=tmp_path / "none.crt")
     problems = credential_problems(section)
     assert len(problems) == 2
-    assert "everybody on this machine can read it (mode 644)" in problems[0]
+    assert "readable by everybody on this computer (mode 644)" in problems[0]
     assert "ca_file" in problems[1]
     with suppress(OSError):
         file.unlink()

@@ -82,14 +82,14 @@ async def test_certificates_both_ways_let_in_and_give_the_rights_of_their_name(
         link.respond(requests[0], b'{"transaction": ' + transaction + b', "status": "ok"}')
         assert (await asking)["status"] == "ok"
     async with GroundStation(section(broker, authority, authority.issue("other"))) as station:
-        with pytest.raises(LinkError, match="did not answer"):
+        with pytest.raises(LinkError, match="did not respond"):
             await station.request("drone", "abort", {}, timeout_s=1.0)
     assert [request.command for request in requests] == ["get"], "a certificate without rights gets nowhere"
 
 
 async def test_without_a_certificate_of_ones_own_nobody_gets_in(broker: Broker, authority: Authority) -> None:
     reason = await reason_of(section(broker, authority), "certificate")
-    assert "give mqtt.cert_file and key_file" in reason
+    assert "set mqtt.cert_file and key_file" in reason
 
 
 async def test_a_broker_that_is_not_who_it_should_be(broker: Broker, authority: Authority, tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ async def test_a_broker_that_is_not_who_it_should_be(broker: Broker, authority: 
     reason = await reason_of(section(broker, stranger, drone), "is not signed by")
     assert str(stranger.cert) in reason
     with running_broker(tmp_path, listener=tls_of(authority, authority.issue("elsewhere.example"))) as other:
-        reason = await reason_of(section(other, authority, drone), "another name")
+        reason = await reason_of(section(other, authority, drone), "a name other than")
     assert "mqtt.host 127.0.0.1" in reason
 
 
@@ -141,7 +141,7 @@ def test_the_validity_of_a_certificate(authority: Authority, tmp_path: Path) -> 
     assert "expired on 2060" in far.problem(far.end.replace(year=2061))
     for content in ("", "-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n", "\x80"):
         (tmp_path / "no.crt").write_text(content)
-        with pytest.raises(UsageError, match=r"no\.crt: holds no certificate"):
+        with pytest.raises(UsageError, match=r"no\.crt: contains no certificate"):
             certificate_validity(tmp_path / "no.crt")
     with pytest.raises(UsageError, match="cannot be read"):
         certificate_validity(tmp_path / "none.crt")
@@ -153,9 +153,9 @@ def test_only_what_is_known_is_explained() -> None:
     assert explained(text, settings) == f"the broker's certificate is not signed by mqtt.ca_file ca.crt ({text})"
     refused = "[Errno 111] Connection refused"
     assert explained(refused, settings) == (
-        f"nothing listens on h, port 1883: does the broker run, is that its port? ({refused})"
+        f"nothing listens on h, port 1883: check that the broker runs and uses this port ({refused})"
     )
-    assert explained("[Errno -2] Name or service not known", settings).startswith("h is a name that nobody")
+    assert explained("[Errno -2] Name or service not known", settings).startswith("the host name h is unknown")
     assert explained("Not authorized", settings) == "Not authorized"
 
 
@@ -185,7 +185,7 @@ async def test_the_shipped_configuration_of_the_broker_as_it_is(authority: Autho
             link = MqttLink(drone, vehicle="drone", on_request=requests.append)
             async with running(link), GroundStation(ground) as station:
                 await eventually(lambda link=link: link.connected, 60)
-                with pytest.raises(LinkError, match="did not answer"):
+                with pytest.raises(LinkError, match="did not respond"):
                     await station.request("drone", "get", {}, timeout_s=1.0)
                 assert [request.command for request in requests] == ["get"]
             with pytest.raises(LinkError, match=r"[Nn]ot authori[sz]ed"):

@@ -1,6 +1,6 @@
 """The AsyncAPI 3.0 document, generated from the payload models by `python -m panoexec.mqtt.spec.asyncapi`.
 
-Writes `asyncapi.yaml` to the path given, or to standard output. A test holds the file in the repository to the code.
+Writes `asyncapi.yaml` to the given path or to standard output. A test compares the file in the repository to it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _MESSAGES: Final = "#/components/messages/"
 
 
 def document() -> dict[str, Any]:
-    """The whole document."""
+    """The complete document."""
     schemas: dict[str, Any] = {}
     requests = {command: _model(model, schemas) for command, model in REQUESTS.items()}
     for model in (Response, State):
@@ -43,7 +43,7 @@ def document() -> dict[str, Any]:
         "info": {
             "title": "panoexec",
             "version": __version__,
-            "description": "A vehicle that takes panoramas, commanded and watched over MQTT 3.1.1 or 5.",
+            "description": "A vehicle that takes panoramas, controlled and monitored over MQTT 3.1.1 or 5.",
         },
         "defaultContentType": "application/json",
         "channels": _channels(requests),
@@ -118,7 +118,7 @@ def _messages(requests: dict[str, str]) -> dict[str, Any]:
 
 
 def _model(model: type[BaseModel], schemas: dict[str, Any]) -> str:
-    """Add the schemas of a model and of what it is made of; its name."""
+    """Add the schemas of a model and of its parts; returns its name."""
     schema = model.model_json_schema(ref_template=_SCHEMAS + "{model}")
     for name, part in schema.pop("$defs", {}).items():
         schemas[name] = _plain(part)
@@ -128,7 +128,7 @@ def _model(model: type[BaseModel], schemas: dict[str, Any]) -> str:
 
 
 def _plain(schema: dict[str, Any]) -> dict[str, Any]:
-    """Without what only repeats the name, and with one line of description."""
+    """The schema without titles, and with only the first line of its description."""
     out = {key: value for key, value in schema.items() if key != "title"}
     if "description" in out:
         out["description"] = str(out["description"]).partition("\n")[0]
@@ -144,7 +144,7 @@ def _event(cls: type[Event]) -> dict[str, Any]:
     """The schema of what `Event.to_json` writes."""
     head = {
         "type": {"const": cls.type},
-        "id": {"type": "string", "description": "mission_id/seq: the same for a repeated message"},
+        "id": {"type": "string", "description": "mission_id/seq; identical for repeated messages"},
         "time": {"type": "string", "format": "date-time"},
     }
     schema = schema_of_dataclass(cls)
@@ -165,9 +165,9 @@ def _answer(command: str) -> str:
 
 
 def _answered(response: dict[str, Any], command: str, data: dict[str, Any]) -> dict[str, Any]:
-    """The schema of one command's answer: `data` if it was obeyed, `error` if it was not."""
+    """The response schema of a command: `data` if it was executed, `error` if not."""
     properties = response["properties"] | {"data": {"anyOf": [data, {"type": "null"}]}}
-    return response | {"description": f"The answer to `{command}`.", "properties": properties}
+    return response | {"description": f"The response to `{command}`.", "properties": properties}
 
 
 def _camel(name: str) -> str:
@@ -179,7 +179,7 @@ def _words(name: str) -> str:
 
 
 def _yaml(value: Any, indent: int = 0) -> list[str]:
-    """Block style; every scalar is written as JSON, which YAML reads the same."""
+    """Block style; every scalar is written as JSON, which is valid YAML."""
     pad = "  " * indent
     lines = []
     items = value.items() if isinstance(value, dict) else ((None, item) for item in value)

@@ -24,8 +24,8 @@ def part_schemas() -> dict[str, dict[str, Any]]:
     """What the other schemas refer to, by name."""
     return {
         "Camera": _camera(),
-        "Certificate": schema_of_dataclass(Certificate) | {"description": "What is proven of a plan."},
-        "Estimate": schema_of_dataclass(Estimate) | {"description": "What a plan will take."},
+        "Certificate": schema_of_dataclass(Certificate) | {"description": "The certificate of a plan."},
+        "Estimate": schema_of_dataclass(Estimate) | {"description": "Estimated duration and size of a plan."},
     }
 
 

@@ -24,7 +24,7 @@ def profile(tmp_path: Path) -> Path:
     ("argv", "says"),
     [
         ([], None),
-        (["fly"], "no verb 'fly'"),
+        (["fly"], "unknown command 'fly'"),
         (["plam"], "did you mean 'plan'"),
         (["plan"], "--camera"),
         ([*PLAN, "--speed", "3"], "--speed"),
@@ -60,11 +60,11 @@ def profile(tmp_path: Path) -> Path:
         ([*PLAN, "--plot", "plan.docx"], "plan.docx"),
         ([*PLAN, "--output", "no/such/folder/plan.json"], "no/such/folder"),
         (["verify", "no.json"], "no.json: cannot be read"),
-        (["verify", "scenario-9"], "neither a file nor a published plan: those are scenario-1-proposed"),
+        (["verify", "scenario-9"], "neither a file nor a published plan (published: scenario-1-proposed"),
         (["send"], "the following arguments are required: COMMAND (see"),
         (["send", "start", "--plan", "no.json"], "--plan no.json: cannot be read: No such file or directory"),
         (["send", "start", "--plan", __file__], "is not valid JSON"),
-        (["check-config", "none.toml"], "none.toml: cannot be read: there is no such file; one to copy is config/"),
+        (["check-config", "none.toml"], "none.toml: cannot be read: there is no such file; copy config/"),
         (["verify"], "PLAN.json"),
         (["doctor", "--config", "none.toml"], "none.toml: cannot be read"),
         (["doctor", "--timeout", "0"], "--timeout"),
@@ -123,7 +123,7 @@ def test_a_foreign_plan_needs_a_camera(tmp_path: Path, capsys: pytest.CaptureFix
     path = tmp_path / "plan.json"
     path.write_text(json.dumps({"shots": [{"pitch_deg": 0, "yaw_deg": 0}]}))
     assert run(["verify", str(path)]) == 2
-    assert "names no camera: give --camera" in capsys.readouterr().err
+    assert "contains no camera: give --camera" in capsys.readouterr().err
 
 
 def test_an_unwritable_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

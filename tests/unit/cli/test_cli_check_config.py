@@ -22,7 +22,7 @@ def file(tmp_path: Path) -> Path:
 def test_a_good_one_is_shown(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["check-config", str(file)]) == 0
     out = capsys.readouterr().out
-    for part in (f"{file} is good", "kite on udpin://0.0.0.0:14540", "dji-x5s-15mm", "broker:1883"):
+    for part in (f"{file} is valid", "kite on udpin://0.0.0.0:14540", "dji-x5s-15mm", "broker:1883"):
         assert part in out
 
 
@@ -51,7 +51,7 @@ def test_all_problems_come_at_once_one_line_each(file: Path, capsys: pytest.Capt
     assert len(lines) == 4
     assert all(line.startswith(f"panoexec: {file}: ") for line in lines)
     for part in (
-        "everybody on this machine can read it",
+        "readable by everybody on this computer",
         "ca_file",
         "no camera profile 'no-such'",
         "vehicle.connection",

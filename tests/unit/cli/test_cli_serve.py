@@ -50,7 +50,7 @@ if done:
     ("key", "value", "part"),
     [
         ("storage.path", "/proc/panoexec", "/proc/panoexec: cannot be used"),
-        ("mqtt.password_file", "{folder}/open", "everybody on this machine can read it"),
+        ("mqtt.password_file", "{folder}/open", "readable by everybody on this computer"),
         ("mqtt.ca_file", "{folder}/none", "cannot be read (No such file or directory)"),
     ],
 )

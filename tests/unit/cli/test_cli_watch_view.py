@@ -55,7 +55,7 @@ def test_a_mission_is_shown_with_progress_and_the_last_attempts() -> None:
     text = shown(mission_view("drone", one))
     for part in ("drone", "online", "capturing", "wind", "9/18", "2 retakes", "1:12 left", "battery 74 %"):
         assert part in text
-    assert "camera gone" in text
+    assert "camera lost" in text
     rows = [line for line in text.splitlines() if line.split()[:1] == ["3"]]
     assert len(rows) == 2
     assert "-29.5° +154.3°" in rows[0]

@@ -144,11 +144,11 @@ def test_what_the_certificate_found_is_in_the_picture() -> None:
     labels = legend(plan({-90.0: 1, -50.0: 7, -10.0: 8}, certificate=certificate()))
     assert "least overlap in a row: 12.3%" in labels
     assert "least overlap of rows: 20.0%" in labels
-    assert "only link of a part (bridge)" in labels
+    assert "single connecting pair (bridge)" in labels
     assert "1 hole, up to 1.2°" in labels
     clean = certificate(certified=True, holes=(), bridges=(), weakest_h=None, weakest_v=None, uncovered_fraction=0.0)
     certified = plan({-90.0: 1, -50.0: 7, -10.0: 8}, certificate=clean)
-    assert legend(certified) == ["band asked for"]
+    assert legend(certified) == ["requested band"]
     assert ", certified" in plan_figure(certified).axes[0].get_title(loc="left")
     assert "NOT certified" in plan_figure(plan({-50.0: 7}, certificate=certificate())).axes[0].get_title(loc="left")
 
@@ -157,7 +157,7 @@ def test_a_band_and_a_mask_across_the_back_and_a_single_image() -> None:
     sector = Band(elevation_min_deg=-30, elevation_max_deg=0, azimuth_min_deg=150, azimuth_max_deg=210)
     mask = AngleBox(elevation_min_deg=-20, elevation_max_deg=-10, azimuth_min_deg=170, azimuth_max_deg=190)
     labels = legend(plan({-15.0: 1}, band=sector, masks=(mask,)))
-    assert labels == ["band asked for", "masked"]
+    assert labels == ["requested band", "masked"]
 
 
 @given(yaw=st.floats(-180, 180), pitch=st.floats(-90, 90))

@@ -147,7 +147,7 @@ class TestProblems:
             (without("focal_length_mm", zoom_range_mm=[50, 20]), "the shorter first"),
             (without("focal_length_mm", zoom_range_mm=[50]), "zoom_range_mm"),
             (without(zoom_range_mm=[20, 50]), "focal_length_mm is 15: it must lie within 20 to 50"),
-            (without(zoom_range_mm=[10, 50], calibrated_focal_length_mm=14.9), "leave it out"),
+            (without(zoom_range_mm=[10, 50], calibrated_focal_length_mm=14.9), "remove it"),
             (without(focal_length_mm=0.05), r"field of view of 179\.34"),
             (without(image_height_px=5280), "times as wide as high"),
             (

@@ -54,7 +54,7 @@ port = "lots"
     with pytest.raises(InputFileError) as caught:
         load_config(path, {"PANOEXEC_NOWHERE__KEY": "1"})
     text = "\n".join(caught.value.problems)
-    for part in ("'my drone'", "vehicle.colour", "pointing.attempts", "pointing.settle_s", "upside down", "mqtt.port"):
+    for part in ("'my drone'", "vehicle.colour", "pointing.attempts", "pointing.settle_s", "reversed", "mqtt.port"):
         assert part in text
     assert "NOWHERE" in text
     assert len(caught.value.problems) == 7
@@ -66,16 +66,16 @@ port = "lots"
     [
         ('[vehicle]\nconnection = "udpin://0.0.0.0:1"\nserial = "auto"', "exclude each other"),
         ('[camera]\ntrigger = "serial"', "needs serial_port"),
-        ('[camera]\ntrigger = "serial"\nserial_port = "/dev/x"\nevidence = "file_seen"', "cannot prove"),
+        ('[camera]\ntrigger = "serial"\nserial_port = "/dev/x"\nevidence = "file_seen"', "cannot provide"),
         ("[pointing]\nsettle_s = 5\nsettle_timeout_s = 5", "must be more than"),
-        ('[gimbal]\nyaw = "vehicle"\n[guards]\nallowed_modes = ["POSCTL"]', "no mode in which one can be turned"),
+        ('[gimbal]\nyaw = "vehicle"\n[guards]\nallowed_modes = ["POSCTL"]', "no mode in which it can be turned"),
         ('[mqtt]\ncert_file = "a"', "belong together"),
         ('[mqtt]\npassword_file = "a"', "needs username"),
         ("[mission]\nazimuth_deg = [-180, 200]", "at most 360"),
         ("[mission]\noverlap_h = 15", "mission.overlap_h is 15"),
         ("[mission]\noverlap_h = nan", "mission.overlap_h is nan"),
         ('[mqtt]\nprefix = "/a"', "not a topic prefix"),
-        ('[mqtt]\nhost = ""', "'' is not a host: a name or an address alone"),
+        ('[mqtt]\nhost = ""', "'' is not a host: give a name or an address"),
         ('[mqtt]\nhost = "mqtt://broker.local"', "without mqtt:// and without a port"),
         ('[mqtt]\nhost = "broker.local:1883"', "'broker.local:1883' is not a host"),
         ('[mqtt]\nhost = "10.0.0.2:1883"', "'10.0.0.2:1883' is not a host"),

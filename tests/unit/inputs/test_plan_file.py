@@ -99,7 +99,7 @@ def test_a_foreign_file_needs_poses_only() -> None:
     assert file.shots[0].yaw_deg == -170
     assert (file.method, file.camera, file.constraints) == ("foreign", None, None)
     assert file.plan(camera=X5S_15MM, constraints=CONSTRAINTS).method == "foreign"
-    with pytest.raises(UsageError, match="names no camera"):
+    with pytest.raises(UsageError, match="contains no camera"):
         file.plan()
     with pytest.raises(UsageError, match="no constraints"):
         file.plan(camera=X5S_15MM)
@@ -121,19 +121,19 @@ def broken(**changes: Any) -> dict[str, Any]:
         ({"shots": [{"pitch_deg": True, "yaw_deg": 0}]}, "shots[0].pitch_deg is True"),
         ({"shots": [{"pitch_deg": 10**400, "yaw_deg": 0}]}, "shots[0].pitch_deg is 1000"),
         ({"shots": [{"pitch_deg": 0, "yaw_deg": 0, "index": True}]}, "shots[0].index is True"),
-        ({"shots": [{"pitch_deg": 0, "yaw_deg": 0, "index": 0}] * 2}, "index must count 0 to 1, each once"),
+        ({"shots": [{"pitch_deg": 0, "yaw_deg": 0, "index": 0}] * 2}, "the indices must be 0 to 1, each once"),
         ({"shots": {"pitch_deg": 0, "yaw_deg": 0}}, "shots is {"),
         ({"shots": [{"pitch_deg": float("nan"), "yaw_deg": 0}]}, "shots[0].pitch_deg is nan"),
         ({"shots": [{"pitch_deg": 0, "yaw_deg": float("inf")}]}, "shots[0].yaw_deg is inf"),
         ({"shots": [{"pitch_deg": 91, "yaw_deg": 0}]}, "less than or equal to 90"),
         ({"shots": [{"pitch_deg": 0, "yaw_deg": 1e9}]}, "shots[0].yaw_deg is 1000000000.0"),
-        ({"shots": [{"pitch_deg": 0, "yaw_deg": 0, "index": 1}]}, "index must count 0 to 0"),
+        ({"shots": [{"pitch_deg": 0, "yaw_deg": 0, "index": 1}]}, "the indices must be 0 to 0"),
         ({"shots": [{"pitch_deg": 0, "yaw_deg": 0, "index": 0}, {"pitch_deg": 0, "yaw_deg": 0}]}, "all or none"),
-        (broken(format="panoexec.plan/2"), "is not a plan this version reads"),
+        (broken(format="panoexec.plan/2"), "is not supported"),
         (broken(camera={}), "camera.sensor_width_mm is missing"),
         (broken(camera=plan_to_data(plan())["camera"] | {"hfov_deg": 50}), "hfov_deg is 50, but"),
         (broken(constraints=plan_to_data(plan())["constraints"] | {"overlap_h": 15}), "constraints.overlap_h is 15"),
-        (broken(constraints=plan_to_data(plan())["constraints"] | {"elevation_deg": [30, -90]}), "upside down"),
+        (broken(constraints=plan_to_data(plan())["constraints"] | {"elevation_deg": [30, -90]}), "reversed"),
         (broken(constraints=plan_to_data(plan())["constraints"] | {"azimuth_deg": [0, 400]}), "at most 360"),
     ],
 )

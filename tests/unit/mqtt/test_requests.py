@@ -60,7 +60,7 @@ def test_every_command_needs_no_more_than_a_transaction(command: str) -> None:
         ({"camera": "secret.toml"}, "camera", "name of a camera profile"),
         ({"reference": "south"}, "reference", "north"),
         ({"plan": []}, "plan", "dictionary"),
-        ({"plan": {}, "method": "paper"}, None, "leave out method"),
+        ({"plan": {}, "method": "paper"}, None, "omit method"),
         ({"transaction": ""}, "transaction", "1 to 128"),
         ({"transaction": None}, "transaction", "1 to 128"),
         ({"transaction": True}, "transaction", "1 to 128"),
