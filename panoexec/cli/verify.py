@@ -81,5 +81,5 @@ def _file(path: Path) -> PlanFile:
             source=name, method=plan.method, camera=plan.camera, constraints=plan.constraints, shots=plan.shots
         )
     if not path.suffix and not path.exists():
-        raise UsageError(f"{path}: neither a file nor a published plan: those are {', '.join(PUBLISHED)}")
+        raise UsageError(f"{path}: neither a file nor a published plan (published: {', '.join(PUBLISHED)})")
     return read_plan_file(path)

@@ -19,10 +19,11 @@ from panoexec.daemon.missions import Missions
 from panoexec.daemon.planner import plan_apart
 from panoexec.daemon.vehicle_link import VehicleLink
 from panoexec.inputs.config import Config
-from panoexec.inputs.plan_file import camera_to_data, certificate_to_data, estimate_to_data
+from panoexec.inputs.plan_file import camera_to_data
 from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.mission.executor import Mission
 from panoexec.mission.mission_requests import CommandRefusedError
+from panoexec.mqtt.answers import planned
 from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.messages import Response, dump, failed, ok
 from panoexec.mqtt.requests import (
@@ -129,7 +130,7 @@ class Commands:
             case StartRequest():
                 data = await self._start(request)
             case PlanRequest():
-                data = _plan_data(await self._plan(spec_of(self._config(), request, camera=self.camera)))
+                data = planned(await self._plan(spec_of(self._config(), request, camera=self.camera)))
             case ResumeRequest():
                 data = await self._resume()
             case AbortRequest():
@@ -193,7 +194,7 @@ class Commands:
                 self._starting = None
                 planning.cancel()
             name = await self._missions.begin(plan, settings, devices, request.reference or config.mission.reference)
-        return {"mission_id": name} | _plan_data(plan)
+        return {"mission_id": name} | planned(plan)
 
     async def _resume(self) -> dict[str, Any]:
         mission = await self._missions.under_way()
@@ -233,21 +234,6 @@ class Commands:
         await self._transactions.remember(CAMERA, None if camera is None else json.dumps(camera))
         self.camera = camera
         return {"camera": camera_to_data(profile.camera)}
-
-
-def _plan_data(plan: Plan) -> dict[str, Any]:
-    """What a plan's answer says of it."""
-    certificate, estimate = plan.certificate, plan.estimate
-    return {
-        "images": len(plan.shots),
-        "rows": len({shot.row for shot in plan.shots}),
-        "duration_s": None if estimate is None else estimate.duration_s,
-        "estimate": None if estimate is None else estimate_to_data(estimate),
-        "certificate": None if certificate is None else certificate_to_data(certificate),
-        "camera": camera_to_data(plan.camera),
-        "lower_bound": plan.lower_bound,
-        "notes": list(plan.notes),
-    }
 
 
 def _check_fresh(incoming: Incoming) -> None:

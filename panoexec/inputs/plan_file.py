@@ -142,7 +142,7 @@ class PlanFile:
         """
         use_camera = camera or self.camera
         if use_camera is None:
-            raise UsageError(f"{self.source} names no camera: give --camera NAME or FILE.toml")
+            raise UsageError(f"{self.source} contains no camera: give --camera NAME or FILE.toml")
         return use_camera
 
 

@@ -1,16 +1,16 @@
 """What each source says of a panorama, and which one comes first: a person, then a plan file, then the defaults.
 
 * A person says it on the command line or in an MQTT request: `PlanOptions`, whose `over` merges it with the rest.
-* A plan file says it under `constraints`: `ConstraintsModel`, `constraints_to_data`, `constraints_schema`.
+* A plan file says it under `constraints`: `ConstraintsModel`, `constraints_to_data`, `ConstraintsFields`.
 * The configuration says it for the daemon: `configured_spec`. The command line has defaults of its own.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator
+from pydantic import BaseModel, ConfigDict, Field, Strict, WithJsonSchema, field_validator
 
 from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.optics import Camera
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from panoexec.inputs.plan_file import PlanFile
 
 _T = TypeVar("_T")
-_NUMBER: Final = {"type": "number"}
-_PAIR: Final = {"type": "array", "items": _NUMBER, "minItems": 2, "maxItems": 2}
 
 # strict: a text or a truth value where a number belongs is a mistake in the program that wrote it
 Finite: TypeAlias = Annotated[float, Strict(), Field(allow_inf_nan=False)]
@@ -172,7 +170,7 @@ class ConstraintsModel(PlanFileModel):
     @classmethod
     def _not_upside_down(cls, value: tuple[float, float]) -> tuple[float, float]:
         if not value[0] < value[1]:
-            raise ValueError(f"[{value[0]:g}, {value[1]:g}] is upside down or empty: the lower end comes first")
+            raise ValueError(f"[{value[0]:g}, {value[1]:g}] is empty or reversed: give the lower end first")
         return value
 
     @field_validator("azimuth_deg")
@@ -233,23 +231,35 @@ def constraints_to_data(constraints: Constraints) -> dict[str, Any]:
     }
 
 
-def constraints_schema() -> dict[str, Any]:
-    """The JSON Schema of what `constraints_to_data` writes."""
-    return _object(
-        {
-            "overlap_h": _NUMBER,
-            "overlap_v": _NUMBER,
-            "elevation_deg": _PAIR,
-            "azimuth_deg": _PAIR,
-            "tolerance_deg": _object({"pitch": _NUMBER, "roll": _NUMBER, "yaw": _NUMBER}),
-            "guarantee": {"enum": ["coverage", "all"]},
-            "masks": {"type": "array", "items": _object({"elevation_deg": _PAIR, "azimuth_deg": _PAIR})},
-        }
-    )
+class _Written(BaseModel):
+    model_config = ConfigDict(frozen=True)
 
 
-def _object(properties: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "object", "properties": properties, "required": list(properties)}
+class TolerancesFields(_Written):
+    """Largest accepted pointing error of each axis, degrees."""
+
+    pitch: Finite
+    roll: Finite
+    yaw: Finite
+
+
+class MaskFields(_Written):
+    """A box of directions that needs no coverage."""
+
+    elevation_deg: tuple[Finite, Finite]
+    azimuth_deg: tuple[Finite, Finite]
+
+
+class ConstraintsFields(_Written):
+    """`constraints` as a plan file and the topic `plan` carry them; their JSON Schema is generated from this."""
+
+    overlap_h: Finite
+    overlap_v: Finite
+    elevation_deg: tuple[Finite, Finite]
+    azimuth_deg: tuple[Finite, Finite]
+    tolerance_deg: TolerancesFields
+    guarantee: Annotated[Literal["coverage", "all"], WithJsonSchema({"enum": ["coverage", "all"]})]
+    masks: tuple[MaskFields, ...]
 
 
 # --- in the configuration

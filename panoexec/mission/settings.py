@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
+from panoexec.codec import ByName, Flag, Number, Whole
 from panoexec.devices import EvidenceLevel
 from panoexec.errors import UsageError
 from panoexec.planning.model import GimbalLimits, Tolerance
@@ -32,16 +33,16 @@ class GuardSettings:
         reclaim_after_s: how long to leave it to the other one before asking.
     """
 
-    battery_floor_frac: float = 0.25
-    hover_s: float = 1200.0
-    position_drift_m: float = 3.0
-    position_back_frac: float = 0.7
+    battery_floor_frac: Number = 0.25
+    hover_s: Number = 1200.0
+    position_drift_m: Number = 3.0
+    position_back_frac: Number = 0.7
     allowed_modes: tuple[str, ...] = ()
-    attitude_silence_s: float = 1.0
-    clear_s: float = 1.0
-    position_hold: bool = True
+    attitude_silence_s: Number = 1.0
+    clear_s: Number = 1.0
+    position_hold: Flag = True
     reclaim: Reclaim = "ask"
-    reclaim_after_s: float = 2.0
+    reclaim_after_s: Number = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,27 +75,27 @@ class MissionSettings:
     """
 
     tolerance: Tolerance
-    settle_s: float = 0.3
-    max_rate_deg_s: float = 2.0
-    max_gap_s: float = 0.1
-    patience_s: float = 4.0
-    attempts: int = 3
-    rounds: int = 3
-    exposure_s: float = 0.02
-    latency_s: float = 0.15
-    interval_s: float = 1.0
-    brackets: int = 1
-    min_evidence: EvidenceLevel = EvidenceLevel.COUNTED
-    evidence_s: float = 3.0
-    pending: int = 1
+    settle_s: Number = 0.3
+    max_rate_deg_s: Number = 2.0
+    max_gap_s: Number = 0.1
+    patience_s: Number = 4.0
+    attempts: Whole = 3
+    rounds: Whole = 3
+    exposure_s: Number = 0.02
+    latency_s: Number = 0.15
+    interval_s: Number = 1.0
+    brackets: Whole = 1
+    min_evidence: Annotated[EvidenceLevel, ByName()] = EvidenceLevel.COUNTED
+    evidence_s: Number = 3.0
+    pending: Whole = 1
     accept: AcceptBy = "tolerance"
-    patches: int = 1
+    patches: Whole = 1
     feedback: Feedback = "auto"
     gimbal: GimbalLimits = field(default_factory=GimbalLimits)
     guards: GuardSettings = field(default_factory=GuardSettings)
-    max_pause_s: float = 600.0
-    device_tries: int = 3
-    release_s: float = 4.0
+    max_pause_s: Number = 600.0
+    device_tries: Whole = 3
+    release_s: Number = 4.0
 
     def __post_init__(self) -> None:
         """Refuse what no mission could be flown with.

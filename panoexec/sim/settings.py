@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
-import types
-import typing
 from collections.abc import Iterable, Iterator
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from panoexec.errors import UsageError
 from panoexec.sim.config import SimConfig
+
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
 
 _CHANGEABLE = ("gimbal", "camera", "airframe")
 _ANY_SIGN = {
@@ -109,29 +108,17 @@ def _with(value: Any, path: list[str], leaf: float | bool) -> Any:
 
 def to_json(config: SimConfig) -> dict[str, Any]:
     """A document that `from_json` makes the same configuration of."""
-    document: dict[str, Any] = dataclasses.asdict(config, dict_factory=_plain)
+    document: dict[str, Any] = _adapter().dump_python(config, mode="json")
     return document
-
-
-def _plain(items: list[tuple[str, Any]]) -> dict[str, Any]:
-    return {name: str(value) if isinstance(value, Path) else value for name, value in items}
 
 
 def from_json(document: dict[str, Any]) -> SimConfig:
     """The configuration of a document that `to_json` made."""
-    config: SimConfig = _built(SimConfig, document)
+    config: SimConfig = _adapter().validate_python(document)
     return config
 
 
-def _built(kind: Any, value: Any) -> Any:
-    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-        hints = typing.get_type_hints(kind)
-        return kind(**{name: _built(hints[name], inner) for name, inner in value.items()})
-    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
-    if origin in (types.UnionType, typing.Union):
-        real = next(k for k in arguments if k is not type(None))
-        return None if value is None else _built(real, value)
-    if origin is tuple:
-        kinds = itertools.repeat(arguments[0]) if arguments[-1] is Ellipsis else arguments
-        return tuple(_built(inner_kind, inner) for inner_kind, inner in zip(kinds, value, strict=False))
-    return Path(value) if kind is Path else value
+def _adapter() -> TypeAdapter[Any]:
+    from panoexec.codec import adapter  # noqa: PLC0415  (pydantic: `simulate --help` does not need it)
+
+    return adapter(SimConfig)

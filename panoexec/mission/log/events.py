@@ -15,10 +15,10 @@ import types
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, ClassVar, Protocol
+from typing import Annotated, Any, ClassVar, Protocol
 
-from panoexec.codec import decode, encode
-from panoexec.devices import EvidenceLevel, Quaternion
+from panoexec.codec import ByName, Flag, Number, Whole, decode, encode
+from panoexec.devices import EvidenceLevel
 from panoexec.mission.log.states import MissionState
 
 NAN = float("nan")
@@ -28,23 +28,23 @@ NAN = float("nan")
 class AxisErrors:
     """The largest pointing errors of an exposure, each with its sign, degrees (`planning.geometry.pose_error`)."""
 
-    pitch_deg: float
-    roll_deg: float
-    yaw_deg: float
-    across_deg: float
-    along_deg: float
-    rotation_deg: float
-    boresight_deg: float
+    pitch_deg: Number
+    roll_deg: Number
+    yaw_deg: Number
+    across_deg: Number
+    along_deg: Number
+    rotation_deg: Number
+    boresight_deg: Number
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredPose:
     """The mean attitude over an exposure, in the plan's frame."""
 
-    q_wxyz: Quaternion
-    roll_deg: float
-    pitch_deg: float
-    yaw_deg: float
+    q_wxyz: tuple[Number, Number, Number, Number]
+    roll_deg: Number
+    pitch_deg: Number
+    yaw_deg: Number
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,15 +61,15 @@ class Photo:
         duplicates: further reports of the same photo.
     """
 
-    number: int
-    evidence: EvidenceLevel
-    capture_time_utc_s: float
-    image_index: int = -1
+    number: Whole
+    evidence: Annotated[EvidenceLevel, ByName()]
+    capture_time_utc_s: Number
+    image_index: Whole = -1
     file: str = ""
-    latitude_deg: float = NAN
-    longitude_deg: float = NAN
-    altitude_m: float = NAN
-    duplicates: int = 0
+    latitude_deg: Number = NAN
+    longitude_deg: Number = NAN
+    altitude_m: Number = NAN
+    duplicates: Whole = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,9 +86,9 @@ class Event:
     """
 
     mission_id: str = ""
-    seq: int = 0
-    time_utc_s: float = 0.0
-    clock_s: float = NAN
+    seq: Whole = 0
+    time_utc_s: Number = 0.0
+    clock_s: Number = NAN
     state: MissionState = MissionState.IDLE
 
     type: ClassVar[str] = "event"
@@ -107,15 +107,15 @@ class Event:
 class MissionStarted(Event):
     """The mission begins, or goes on in a new process (`resumed`); preflight checks follow."""
 
-    shots_total: int
-    resumed: bool = False
+    shots_total: Whole
+    resumed: Flag = False
     reference: str = "north"
     """What yaw 0 means: `north` or `heading`."""
-    reference_yaw_north_deg: float = 0.0
+    reference_yaw_north_deg: Number = 0.0
     """Direction of the plan's yaw 0, clockwise from true north."""
-    latitude_deg: float = NAN
-    longitude_deg: float = NAN
-    altitude_m: float = NAN
+    latitude_deg: Number = NAN
+    longitude_deg: Number = NAN
+    altitude_m: Number = NAN
     """Above mean sea level."""
 
 
@@ -123,11 +123,11 @@ class MissionStarted(Event):
 class MissionAnchored(Event):
     """The vehicle told later than at the start of the process where it is, or where its nose points."""
 
-    reference_yaw_north_deg: float = NAN
+    reference_yaw_north_deg: Number = NAN
     """Direction of the plan's yaw 0, clockwise from true north; holds if none was known."""
-    latitude_deg: float = NAN
-    longitude_deg: float = NAN
-    altitude_m: float = NAN
+    latitude_deg: Number = NAN
+    longitude_deg: Number = NAN
+    altitude_m: Number = NAN
     """Above mean sea level."""
 
 
@@ -148,7 +148,7 @@ class CommandReceived(Event):
     """Somebody asked for something while the mission runs."""
 
     command: str
-    shot: int | None = None
+    shot: Whole | None = None
     reason: str = ""
 
 
@@ -169,7 +169,7 @@ class GimbalAcquired(Event):
 class GimbalReleased(Event):
     """Control of the gimbal was given back (or the gimbal could not be reached within the bound)."""
 
-    confirmed: bool = True
+    confirmed: Flag = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -184,14 +184,14 @@ class MissionPaused(Event):
 
     code: str
     reason: str
-    automatic: bool = False
+    automatic: Flag = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionResumed(Event):
     """Shooting goes on after a pause of `paused_s`."""
 
-    paused_s: float
+    paused_s: Number
     reason: str = ""
 
 
@@ -206,13 +206,13 @@ class MissionFinishing(Event):
 class PatchPlanned(Event):
     """Shots were added to close holes that the measured attitudes leave."""
 
-    shots: tuple[int, ...]
-    rows: tuple[int, ...]
+    shots: tuple[Whole, ...]
+    rows: tuple[Whole, ...]
     """The row of each that it belongs to, -1 for none."""
-    pitch_deg: tuple[float, ...]
-    yaw_deg: tuple[float, ...]
-    holes: int
-    largest_hole_deg: float
+    pitch_deg: tuple[Number, ...]
+    yaw_deg: tuple[Number, ...]
+    holes: Whole
+    largest_hole_deg: Number
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -227,17 +227,17 @@ class MissionFinished(Event):
     """
 
     reason: str
-    accepted: int
-    missing: tuple[int, ...]
-    certified: bool | None = None
+    accepted: Whole
+    missing: tuple[Whole, ...]
+    certified: Flag | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotEvent(Event):
     """Head of the events of one attempt at a shot; attempts of a shot count from 1 across rounds and restarts."""
 
-    shot: int
-    attempt: int
+    shot: Whole
+    attempt: Whole
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -250,10 +250,10 @@ class ShotStarted(ShotEvent):
         patience_s: how long it may take to settle beyond the expected slew.
     """
 
-    round: int
-    pitch_deg: float
-    yaw_deg: float
-    patience_s: float
+    round: Whole
+    pitch_deg: Number
+    yaw_deg: Number
+    patience_s: Number
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -275,16 +275,16 @@ class ShotExposed(ShotEvent):
     """
 
     photos: tuple[Photo, ...]
-    pointing_ok: bool
+    pointing_ok: Flag
     reason: str
-    samples: int
+    samples: Whole
     measured: MeasuredPose | None
     errors: AxisErrors | None
-    slew_settle_s: float
-    trigger_delay_s: float
-    open_loop: bool = False
-    images_before: int = -1
-    may_overlap: bool = False
+    slew_settle_s: Number
+    trigger_delay_s: Number
+    open_loop: Flag = False
+    images_before: Whole = -1
+    may_overlap: Flag = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -334,7 +334,7 @@ class ShotDeferred(ShotEvent):
     """The shot comes again after the others; `attempt` was the last one."""
 
     reason: str
-    round: int
+    round: Whole
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,7 +17,7 @@ from panoexec.files import write_atomically
 from panoexec.mission.log.events import EVENT_TYPES, Event
 from panoexec.mqtt.messages import Response, State
 from panoexec.mqtt.requests import MAX_PAYLOAD, REQUESTS
-from panoexec.mqtt.spec.schemas import answer_schemas, part_schemas, plan_schema, schema_of_dataclass
+from panoexec.mqtt.spec.schemas import answer_schemas, part_schemas, plan_schema, schema_of
 
 _SCHEMAS: Final = "#/components/schemas/"
 _MESSAGES: Final = "#/components/messages/"
@@ -34,8 +34,8 @@ def document() -> dict[str, Any]:
     schemas["Event"] = {"oneOf": [{"$ref": _SCHEMAS + _camel(name)} for name in events]}
     schemas["Status"] = {"type": "string", "enum": ["online", "offline"]}
     schemas |= part_schemas()
-    schemas["Plan"] = plan_schema() | {"description": "A plan file, format panoexec.plan/1."}
-    for command, data in answer_schemas({"$ref": f"{_SCHEMAS}State"}).items():
+    schemas["Plan"] = plan_schema()
+    for command, data in answer_schemas().items():
         schemas[_answer(command)] = _answered(schemas["Response"], command, data)
     del schemas["Response"]
     return {
@@ -147,7 +147,7 @@ def _event(cls: type[Event]) -> dict[str, Any]:
         "id": {"type": "string", "description": "mission_id/seq; identical for repeated messages"},
         "time": {"type": "string", "format": "date-time"},
     }
-    schema = schema_of_dataclass(cls)
+    schema = schema_of(cls)
     return {
         "type": "object",
         "description": _first_line(cls),

@@ -1,139 +1,102 @@
-"""JSON Schemas of documents that no payload model describes: what dataclasses are written as, plans, answers' data."""
+"""JSON Schemas of what panoexec writes: events, plans, answers' data; derived from the dataclasses and models."""
 
 from __future__ import annotations
 
-import dataclasses
-import types
-import typing
-from enum import Enum, IntEnum
 from typing import Any, Final
 
-from panoexec.inputs.plan_file import FORMAT
-from panoexec.inputs.plan_options import constraints_schema
-from panoexec.planning.model import Certificate, Estimate, Shot
+from pydantic import BaseModel, TypeAdapter
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import core_schema
 
-_NUMBER: Final = {"type": "number"}
-_WHOLE: Final = {"type": "integer"}
-_TEXT: Final = {"type": "string"}
-_PAIR: Final = {"type": "array", "items": _NUMBER, "minItems": 2, "maxItems": 2}
-_NULL: Final = {"type": "null"}
+from panoexec.mqtt.answers import ANSWERS, CameraFields, PlanFields
+from panoexec.mqtt.messages import State
+from panoexec.planning.model import Certificate, Estimate
+
 _PARTS: Final = "#/components/schemas/"
+_NAMED: Final = {"CameraFields": "Camera", "Certificate": "Certificate", "Estimate": "Estimate"}
+"""What other schemas refer to by name; everything else stands where it is used."""
+
+
+class _AsWritten(GenerateJsonSchema):
+    """Schemas of documents that panoexec writes, rather than of those that it would accept."""
+
+    def float_schema(self, schema: core_schema.FloatSchema) -> JsonSchemaValue:
+        """NaN and infinity are written as null."""
+        return {"type": "number" if schema.get("allow_inf_nan") is False else ["number", "null"]}
+
+    def tuple_schema(self, schema: core_schema.TupleSchema) -> JsonSchemaValue:
+        """A tuple has items of one kind, and a length if that is fixed."""
+        items = schema["items_schema"]
+        size = {} if schema.get("variadic_item_index") is not None else {"minItems": len(items), "maxItems": len(items)}
+        out: JsonSchemaValue = {"type": "array", "items": self.generate_inner(items[0])} | size
+        if "min_length" in schema:
+            out["minItems"] = schema["min_length"]
+        return out
+
+    def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
+        """What a reader would assume does not matter."""
+        return self.generate_inner(schema["schema"])
+
+    def field_is_required(
+        self, field: core_schema.ModelField | core_schema.DataclassField | core_schema.TypedDictField, total: bool
+    ) -> bool:
+        """Every field of a dataclass is written."""
+        return field["type"] == "dataclass-field" or super().field_is_required(field, total)
+
+    def sort(self, value: JsonSchemaValue, parent_key: str | None = None) -> JsonSchemaValue:  # noqa: ARG002  (pydantic's)
+        """Fields stay in the order in which they are written."""
+        return value
+
+
+def schema_of(kind: Any) -> dict[str, Any]:
+    """The schema of what `panoexec.codec.encode`, or the model's dump, makes of a dataclass or a model."""
+    schema = TypeAdapter(kind).json_schema(
+        mode="serialization", schema_generator=_AsWritten, ref_template=_PARTS + "{model}"
+    )
+    parts = schema.pop("$defs", {})
+    resolved: dict[str, Any] = _resolved(schema, parts)
+    return resolved
 
 
 def part_schemas() -> dict[str, dict[str, Any]]:
     """What the other schemas refer to, by name."""
-    return {
-        "Camera": _camera(),
-        "Certificate": schema_of_dataclass(Certificate) | {"description": "The certificate of a plan."},
-        "Estimate": schema_of_dataclass(Estimate) | {"description": "Estimated duration and size of a plan."},
+    kinds: dict[str, tuple[Any, str]] = {
+        "Camera": (CameraFields, "A camera with its field of view."),
+        "Certificate": (Certificate, "What is proven of a plan."),
+        "Estimate": (Estimate, "What a plan will take."),
     }
-
-
-def schema_of_dataclass(cls: Any) -> dict[str, Any]:
-    """The schema of what `panoexec.codec.encode`, or `dataclasses.asdict`, makes of a dataclass."""
-    hints = typing.get_type_hints(cls)
-    return _object({field.name: _of_type(hints[field.name]) for field in dataclasses.fields(cls)})
+    return {name: schema_of(kind) | {"description": text} for name, (kind, text) in kinds.items()}
 
 
 def plan_schema() -> dict[str, Any]:
     """Of a plan file (`panoexec.inputs.plan_file.plan_to_data`)."""
-    return _object(
-        {
-            "format": {"const": FORMAT},
-            "method": _TEXT,
-            "camera": _part("Camera"),
-            "constraints": constraints_schema(),
-            "shots": {"type": "array", "items": schema_of_dataclass(Shot), "minItems": 1},
-            "certificate": _or_null(_part("Certificate")),
-            "estimate": _or_null(_part("Estimate")),
-            "lower_bound": {"type": ["integer", "null"]},
-            "notes": {"type": "array", "items": _TEXT},
-        }
-    )
+    return schema_of(PlanFields)
 
 
-def _camera() -> dict[str, Any]:
-    """Of a camera (`panoexec.inputs.plan_file.camera_to_data`)."""
-    out = _object(
-        {
-            "name": _TEXT,
-            "sensor_width_mm": _NUMBER,
-            "sensor_height_mm": _NUMBER,
-            "image_width_px": _WHOLE,
-            "image_height_px": _WHOLE,
-            "focal_length_mm": _NUMBER,
-            "hfov_deg": _NUMBER,
-            "vfov_deg": _NUMBER,
-        }
-    )
-    out["properties"]["calibrated_focal_length_mm"] = _NUMBER
-    return out | {"description": "A camera with its field of view."}
+def answer_schemas() -> dict[str, dict[str, Any]]:
+    """The `data` of each command's answer."""
+    return {command: _answer(model) for command, model in ANSWERS.items()}
 
 
-def answer_schemas(state: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The `data` of each command's answer.
+def _answer(model: type[BaseModel]) -> dict[str, Any]:
+    return {"$ref": f"{_PARTS}State"} if model is State else schema_of(model)
 
-    Args:
-        state: the schema of a state.
+
+def _resolved(value: Any, parts: dict[str, Any]) -> Any:
+    """The schema without references to parts that have no name, without titles, with one line of description.
+
+    What an enum means stands in the document once, not in every event.
     """
-    planned = {
-        "images": _WHOLE,
-        "rows": _WHOLE,
-        "duration_s": {"type": ["number", "null"]},
-        "estimate": _or_null(_part("Estimate")),
-        "certificate": _or_null(_part("Certificate")),
-        "camera": _part("Camera"),
-        "lower_bound": {"type": ["integer", "null"]},
-        "notes": {"type": "array", "items": _TEXT},
-    }
-    mission = {"mission_id": {"type": ["string", "null"]}}
-    now = _object(mission | {"state": _TEXT})
-    # a mission that does not fly yet, or any more, has no state to tell
-    perhaps_now = _object(mission)
-    perhaps_now["properties"] = mission | {"state": _TEXT}
-    shot = _object({"shot": _WHOLE} | mission | {"state": _TEXT})
-    return {
-        "plan": _object(planned),
-        "start": _object(mission | planned),
-        "pause": now,
-        "resume": perhaps_now,
-        "abort": perhaps_now,
-        "finish": now,
-        "skip": shot,
-        "repeat": shot,
-        "get": state,
-        "set_profile": _object({"camera": _part("Camera")}),
-    }
-
-
-def _object(properties: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "object", "properties": properties, "required": list(properties)}
-
-
-def _part(name: str) -> dict[str, Any]:
-    return {"$ref": _PARTS + name}
-
-
-def _or_null(schema: dict[str, Any]) -> dict[str, Any]:
-    return {"anyOf": [schema, _NULL]}
-
-
-def _of_type(hint: Any) -> dict[str, Any]:
-    origin, args = typing.get_origin(hint), typing.get_args(hint)
-    if origin in {types.UnionType, typing.Union}:
-        return {"anyOf": [_of_type(arg) for arg in args]}
-    if origin is tuple:
-        open_end = len(args) == 2 and args[1] is Ellipsis
-        size = {} if open_end else {"minItems": len(args), "maxItems": len(args)}
-        return {"type": "array", "items": _of_type(args[0])} | size
-    if dataclasses.is_dataclass(hint):
-        return schema_of_dataclass(hint)
-    if isinstance(hint, type) and issubclass(hint, Enum):
-        return {"type": "string", "enum": [_written(member) for member in hint]}
-    # NaN and infinity are written as null
-    names = {float: ["number", "null"], int: "integer", str: "string", bool: "boolean", type(None): "null"}
-    return {"type": names[hint]}
-
-
-def _written(member: Enum) -> str:
-    return member.name.lower() if isinstance(member, IntEnum) else str(member.value)
+    if isinstance(value, list):
+        return [_resolved(item, parts) for item in value]
+    if not isinstance(value, dict):
+        return value
+    if "$ref" in value:
+        name = str(value["$ref"]).removeprefix(_PARTS)
+        return {"$ref": _PARTS + _NAMED[name]} if name in _NAMED else _resolved(parts[name], parts)
+    out = {key: _resolved(item, parts) for key, item in value.items() if key != "title"}
+    if isinstance(text := out.get("description"), str):
+        out["description"] = text.partition("\n")[0]
+        if "enum" in out:
+            del out["description"]
+    return out

@@ -1,0 +1,140 @@
+"""The `data` of each command's answer, and the plan on the topic `plan`, as models.
+
+`asyncapi.yaml` is generated from them; the answer about a plan is built from them, and tests hold the others to them.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, TypeAlias
+
+from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
+
+from panoexec.inputs.plan_file import FORMAT, camera_to_data
+from panoexec.inputs.plan_options import ConstraintsFields
+from panoexec.mqtt.messages import State
+from panoexec.planning.model import Certificate, Estimate, Plan, Shot
+
+Finite: TypeAlias = Annotated[float, Field(allow_inf_nan=False)]
+FiniteOrNull: TypeAlias = Annotated[Finite | None, WithJsonSchema({"type": ["number", "null"]})]
+WholeOrNull: TypeAlias = Annotated[int | None, WithJsonSchema({"type": ["integer", "null"]})]
+TextOrNull: TypeAlias = Annotated[str | None, WithJsonSchema({"type": ["string", "null"]})]
+
+
+class Fields(BaseModel):
+    """A JSON object that panoexec sends; a field with a default may be missing."""
+
+    model_config = ConfigDict(frozen=True)
+
+
+class CameraFields(Fields):
+    """A camera with its field of view.
+
+    `panoexec.inputs.plan_file.camera_to_data` writes it.
+    """
+
+    name: str
+    sensor_width_mm: Finite
+    sensor_height_mm: Finite
+    image_width_px: int
+    image_height_px: int
+    focal_length_mm: Finite
+    hfov_deg: Finite
+    vfov_deg: Finite
+    calibrated_focal_length_mm: Annotated[Finite | None, WithJsonSchema({"type": "number"})] = None
+
+
+class PlannedFields(Fields):
+    """What an answer says of a plan."""
+
+    images: int
+    rows: int
+    duration_s: FiniteOrNull
+    estimate: Estimate | None
+    certificate: Certificate | None
+    camera: CameraFields
+    lower_bound: WholeOrNull
+    notes: tuple[str, ...]
+
+
+class MissionFields(Fields):
+    """Which mission; null if none was begun."""
+
+    mission_id: TextOrNull
+
+
+class StartedFields(PlannedFields, MissionFields):
+    """The mission that begins, and its plan."""
+
+
+class MissionStateFields(MissionFields):
+    """The mission and its state after the command."""
+
+    state: str
+
+
+class OfferedFields(MissionFields):
+    """The mission; its state only while it is under way."""
+
+    state: Annotated[str | None, WithJsonSchema({"type": "string"})] = None
+
+
+class ShotFields(Fields):
+    """The shot that the command was about, and the mission."""
+
+    shot: int
+    mission_id: TextOrNull
+    state: str
+
+
+class ProfileFields(Fields):
+    """The camera from now on."""
+
+    camera: CameraFields
+
+
+class PlanFields(Fields):
+    """A plan file, format panoexec.plan/1.
+
+    `panoexec.inputs.plan_file.plan_to_data` writes it.
+    """
+
+    format: Annotated[str, WithJsonSchema({"const": FORMAT})]
+    method: str
+    camera: CameraFields
+    constraints: ConstraintsFields
+    shots: Annotated[tuple[Shot, ...], Field(min_length=1)]
+    certificate: Certificate | None
+    estimate: Estimate | None
+    lower_bound: WholeOrNull
+    notes: tuple[str, ...]
+
+
+ANSWERS: dict[str, type[BaseModel]] = {
+    "plan": PlannedFields,
+    "start": StartedFields,
+    "pause": MissionStateFields,
+    "resume": OfferedFields,
+    "abort": OfferedFields,
+    "finish": MissionStateFields,
+    "skip": ShotFields,
+    "repeat": ShotFields,
+    "get": State,
+    "set_profile": ProfileFields,
+}
+"""The model of the `data` of each command's answer."""
+
+
+def planned(plan: Plan) -> dict[str, Any]:
+    """What an answer says of a plan, as JSON."""
+    estimate = plan.estimate
+    fields = PlannedFields(
+        images=len(plan.shots),
+        rows=len({shot.row for shot in plan.shots}),
+        duration_s=None if estimate is None else estimate.duration_s,
+        estimate=estimate,
+        certificate=plan.certificate,
+        camera=CameraFields(**camera_to_data(plan.camera)),
+        lower_bound=plan.lower_bound,
+        notes=plan.notes,
+    )
+    return fields.model_dump(mode="json", exclude_unset=True)
