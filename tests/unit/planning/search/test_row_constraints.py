@@ -23,6 +23,7 @@ LONG = Camera.from_fov(21.76, 16.44)
 STRIP = Camera.from_fov(100.0, 20.0)
 """So wide that about a pole its images are turned too far against each other."""
 
+TINY = Camera.from_fov(3.0, 2.0)
 LARGE = Tolerance(pitch_deg=1.0, roll_deg=1.0, yaw_deg=1.5)
 SECTOR = Band(elevation_min_deg=-60.0, elevation_max_deg=20.0, azimuth_min_deg=-50.0, azimuth_max_deg=70.0)
 overlaps = st.sampled_from([0.0, 0.1, 0.2, 0.45, 0.6])
@@ -161,7 +162,8 @@ class TestCountsThatC2Allows:
         assert fewest(rules, pitch_deg * 0.8) >= count
 
     @pytest.mark.parametrize(
-        ("camera", "ends"), [(WIDE, (-80.0, -10.0)), (LONG, (-20.0, 30.0)), (STRIP, (-90.0, 10.0))]
+        ("camera", "ends"),
+        [(WIDE, (-80.0, -10.0)), (LONG, (-20.0, 30.0)), (STRIP, (-90.0, 10.0)), (TINY, (-20.0, 25.0))],
     )
     def test_counts_between_two_pitches_hold_all_in_between(self, camera: Camera, ends: tuple[float, float]) -> None:
         rules = rules_of(camera)
