@@ -13,7 +13,7 @@ from panoexec.doctor.advice import advise
 from panoexec.doctor.findings import Findings
 from panoexec.errors import DeviceError, PanoexecError
 from panoexec.inputs.config import Config
-from panoexec.mission.preflight import attitude_problems, limit_problems, limits_that_hold
+from panoexec.mission.preflight import attitude_problems, effective_limits, limit_problems
 from panoexec.mqtt.requests import PlanRequest
 from panoexec.planning.model import GimbalLimits
 
@@ -134,7 +134,7 @@ async def _examine_plan(gimbal: MavsdkGimbal, config: Config, findings: Findings
     """Plan the configured panorama, and see whether this gimbal reaches all of it."""
     try:
         wish = wish_of(config, PlanRequest(transaction="doctor"))
-        limits = limits_that_hold(gimbal.limits, wish.constraints.gimbal or GimbalLimits())
+        limits = effective_limits(gimbal.limits, wish.constraints.gimbal or GimbalLimits())
         wish = replace(wish, constraints=replace(wish.constraints, gimbal=limits))
         plan = await asyncio.to_thread(wish.plan)
     except PanoexecError as error:

@@ -1,4 +1,4 @@
-"""What the executor asks of its surroundings besides the devices."""
+"""Interfaces that the executor needs besides the devices."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from panoexec.planning.model import Certificate, Shot
 
 
 class Journal(Protocol):
-    """Keeps events for good."""
+    """Stores events durably."""
 
     async def append(self, events: Sequence[Event]) -> None:
-        """Return when all of them are on disk, in this order, or raise and keep none.
+        """Return when all of them are on disk, in this order, or raise and store none.
 
         Raises:
             MissionError: the journal cannot be written.
@@ -24,35 +24,35 @@ class Journal(Protocol):
 
 
 class Verifier(Protocol):
-    """The certificate of a panorama as flown; heavy work, done beside the event loop."""
+    """Certifies measured attitudes; heavy work, done outside the event loop."""
 
     async def certify(self, rotations: FloatArray, rows: Sequence[int]) -> Certificate:
-        """The verdict on measured attitudes.
+        """The certificate of measured attitudes.
 
         Args:
-            rotations: camera to plan frame (n, 3, 3), one an accepted shot.
+            rotations: camera to plan frame (n, 3, 3), one per accepted shot.
             rows: the row of each.
         """
         ...
 
     async def patch(self, rotations: FloatArray, rows: Sequence[int]) -> Sequence[Shot]:
-        """Shots that would close the holes that these leave; empty if there are none, or no shot can."""
+        """Shots that close the holes of these attitudes; empty if there are no holes or no shots can close them."""
         ...
 
 
 @runtime_checkable
 class PhotoMemory(Protocol):
-    """A camera that remembers what it took: settles a photo that was in flight when the process died."""
+    """A camera that reports its latest photos, to settle attempts that were open when the process ended."""
 
     @property
     def image_count(self) -> int:
-        """How many images it counts, if that includes all that were triggered; else -1."""
+        """The camera's image count if it includes all triggered photos; else -1."""
         ...
 
     async def recall(self) -> Recollection:
-        """Ask for its last photos.
+        """Request its latest photos.
 
         Raises:
-            DeviceError: it does not answer.
+            DeviceError: the camera did not answer.
         """
         ...

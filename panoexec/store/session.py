@@ -159,7 +159,7 @@ class MissionSession:
         self.stored = stored
         self.mission = mission
         self._manifest = manifest
-        self._voice = voice
+        self._messenger = voice
 
     @classmethod
     @asynccontextmanager
@@ -227,21 +227,21 @@ class MissionSession:
             async with asyncio.TaskGroup() as group:
                 beside = [
                     group.create_task(self._manifest.run(), name="manifest"),
-                    group.create_task(self._voice.run(), name="words to the pilot"),
+                    group.create_task(self._messenger.run(), name="words to the pilot"),
                 ]
                 record = await self.mission.run()
                 for task in beside:
                     task.cancel()
         except BaseException as failure:
             if not isinstance(failure, asyncio.CancelledError):
-                self._voice.tell(PilotMessage("stopped by an error, gimbal is free", Severity.ERROR))
-            await self._voice.farewell()
+                self._messenger.send(PilotMessage("stopped by an error, gimbal is free", Severity.ERROR))
+            await self._messenger.flush()
             with suppress(UsageError):  # what went wrong first is what counts
                 await self._manifest.write()
             if isinstance(failure, BaseExceptionGroup):
                 raise first_failure(failure) from None
             raise
-        await self._voice.farewell()
+        await self._messenger.flush()
         await self._manifest.write()
         return record
 

@@ -9,7 +9,7 @@ import pytest
 
 from panoexec.daemon.mission_request import configuration_problems, gimbal_limits, settings_of, wish_of
 from panoexec.inputs.config import Config
-from panoexec.mission.preflight import limits_that_hold
+from panoexec.mission.preflight import effective_limits
 from panoexec.mqtt.requests import PlanRequest
 from panoexec.planning.model import GimbalLimits, Turning
 
@@ -32,7 +32,7 @@ def test_a_vehicle_that_pans_leaves_the_gimbal_no_pan_range() -> None:
     assert limits.turning == Turning(rate_deg_s=30.0, acceleration_deg_s2=90.0)
     # what the gimbal states of its pan axis does not count then, what it states of its pitch does
     own = GimbalLimits(pitch_min_deg=-120.0, pitch_max_deg=40.0)
-    held = limits_that_hold(own, limits)
+    held = effective_limits(own, limits)
     assert (held.pitch_min_deg, held.pitch_max_deg, held.pans) == (-120.0, 40.0, False)
 
 
@@ -40,7 +40,7 @@ def test_auto_keeps_the_pan_range_that_is_stated_else_the_configured_one() -> No
     limits = gimbal_limits(config(yaw="auto", yaw_deg=[-160, 160]))
     assert (limits.yaw_min_deg, limits.yaw_max_deg, limits.all_round) == (-160.0, 160.0, True)
     own = GimbalLimits(yaw_min_deg=0.0, yaw_max_deg=0.0, yaw_endless=False)
-    held = limits_that_hold(own, limits)
+    held = effective_limits(own, limits)
     assert not held.pans
     assert held.turning == limits.turning
 

@@ -32,7 +32,7 @@ def test_an_interrupted_mission_can_be_resumed_and_the_photo_counts_stay_right()
             async with asyncio.TaskGroup() as group:
                 running = group.create_task(mission.run())
                 await until_event(world, ev.ShotAccepted, 2)
-                mission.verbs.interrupt()
+                mission.commands.interrupt()
                 record = await running
             check_mission(world, record)
             assert record.state is S.PAUSED

@@ -26,7 +26,7 @@ class TestFaults:
             assert "no heartbeat" in mission.record.reason
             await world.clock.sleep(5.0)
             with pytest.raises(CommandRefusedError, match="no heartbeat"):
-                mission.verbs.resume()
+                mission.commands.resume()
             world.vehicle.change(connected=True)
 
         world = fly(script)
@@ -102,7 +102,7 @@ class TestFaults:
             assert world.gimbal.acquired == 1
             world.gimbal.in_control = True
             await world.clock.sleep(0.2)
-            mission.verbs.resume()
+            mission.commands.resume()
 
         guards = GuardSettings(reclaim="never")
         assert fly(script, settings=some_settings(guards=guards)).record.state is S.COMPLETE
@@ -117,11 +117,11 @@ class TestFaults:
             assert world.clock.monotonic() - asked < 0.4
             await world.clock.sleep(5.0)
             with pytest.raises(CommandRefusedError, match="taken over"):
-                mission.verbs.resume()
+                mission.commands.resume()
             world.vehicle.change(mode="OFFBOARD")
             await world.clock.sleep(5.0)
             assert mission.record.state is S.PAUSED  # the pilot decides when
-            mission.verbs.resume()
+            mission.commands.resume()
 
         world = fly(script)
         assert world.record.state is S.COMPLETE

@@ -253,7 +253,7 @@ def test_a_second_stop_before_anything_was_settled_leaves_it_to_the_third_proces
             second = world.mission(past=list(world.journal.events))
             asking = asyncio.create_task(second.run(), name="second life")
             await world.clock.sleep(0.001)
-            second.verbs.interrupt()
+            second.commands.interrupt()
             record = await asking
             assert record.state is S.PAUSED
             assert record.shots[1].open_attempt is not None

@@ -232,25 +232,27 @@ def test_a_correction_waits_until_the_nose_stands_and_is_bounded() -> None:
     async def main() -> None:
         clock = VirtualClock()
         vehicle = FakeVehicle(clock=clock)
-        turner = HeadingController(vehicle=vehicle, clock=clock, turning=TURNING, tolerance_yaw_deg=TOLERANCE.yaw_deg)
-        expected_s = await turner.begin([100.0], TWO_AXES)
+        heading_controller = HeadingController(
+            vehicle=vehicle, clock=clock, turning=TURNING, tolerance_yaw_deg=TOLERANCE.yaw_deg
+        )
+        expected_s = await heading_controller.begin([100.0], TWO_AXES)
         began_s = clock.monotonic()
         while clock.monotonic() < began_s + expected_s + AVERAGED_S - 0.1:
-            turner.note(clock.monotonic(), 4.0)
-            assert not turner.is_off(clock.monotonic()), "still turning, or not yet averaged"
+            heading_controller.note(clock.monotonic(), 4.0)
+            assert not heading_controller.is_off(clock.monotonic()), "still turning, or not yet averaged"
             await clock.sleep(0.02)
-        while not turner.is_off(clock.monotonic()):
-            turner.note(clock.monotonic(), 4.0)
+        while not heading_controller.is_off(clock.monotonic()):
+            heading_controller.note(clock.monotonic(), 4.0)
             await clock.sleep(0.02)
         assert clock.monotonic() < began_s + expected_s + AVERAGED_S + 0.1
-        await turner.correct()
+        await heading_controller.correct()
         assert vehicle.turns[-1][1] == pytest.approx(100.0 - GAIN * 4.0)
-        turner.note(clock.monotonic(), math.nan)
-        assert not turner.is_off(clock.monotonic())
+        heading_controller.note(clock.monotonic(), math.nan)
+        assert not heading_controller.is_off(clock.monotonic())
         vehicle.refusals = 1
-        await turner.correct()
-        assert turner.trim_deg == pytest.approx(-GAIN * 4.0), "nothing was measured since"
-        assert turner.turns == 1
+        await heading_controller.correct()
+        assert heading_controller.trim_deg == pytest.approx(-GAIN * 4.0), "nothing was measured since"
+        assert heading_controller.turns == 1
 
     run_virtual(main())
 
