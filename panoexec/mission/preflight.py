@@ -112,7 +112,7 @@ def preflight_problems(
         problems.append(f"the camera has room for {camera.storage_free_images:g} photos, {needed} are needed")
     problems += battery_problems(status.battery_frac, guards, expected_s=expected_s)
     if status.unhealthy:
-        problems.append(f"the autopilot reports unhealthy sensors: {', '.join(status.unhealthy)}")
+        problems.append(f"the autopilot reports as unhealthy: {', '.join(status.unhealthy)}")
     if guards.position_hold and not status.in_air:
         problems.append("the vehicle is not in the air: take off and hover")
     if guards.position_hold and not status.position_ok:

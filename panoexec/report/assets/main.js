@@ -179,7 +179,7 @@ function batteryAndFacts() {
     ["yaw 0", mission.reference.kind === "heading" ? `the heading at the start, ${degrees(mission.reference.yaw_north_deg, 1)} from north` : "true north"],
     ...Object.entries(mission.vehicle).map(([key, value]) => [key.replaceAll("_", " "), String(value)]),
   ]), mission.warnings.length ? el("ul", { class: "texts" }, mission.warnings.map((text) => el("li", {}, text))) : null,
-  mission.open_loop ? el("p", { class: "lead" }, "Flown without attitude feedback: poses are believed, not measured.") : null);
+  mission.open_loop ? el("p", { class: "lead" }, "Flown without attitude feedback: poses are assumed, not measured.") : null);
 }
 
 function main() {

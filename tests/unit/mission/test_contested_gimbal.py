@@ -25,7 +25,7 @@ def test_a_gimbal_that_is_given_back_is_nobodys_and_can_be_taken_by_resuming(acq
         world.gimbal.in_control, world.gimbal.acquire_s = False, acquire_s
         await until_event(world, ev.MissionPaused)
         await world.clock.sleep(5.0)
-        with pytest.raises(CommandRefusedError, match="give it back"):
+        with pytest.raises(CommandRefusedError, match="release it there"):
             mission.commands.resume()
         world.gimbal.other = (0, 0)
         await world.clock.sleep(5.0)

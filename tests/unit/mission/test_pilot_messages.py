@@ -20,7 +20,7 @@ Script = Callable[[World, MissionSession], Awaitable[None]]
 LINE = 50
 
 
-async def _run_guarded(world: World, storage: Path, script: Script | None = None) -> list[tuple[Severity, str]]:
+async def _fly(world: World, storage: Path, script: Script | None = None) -> list[tuple[Severity, str]]:
     stored = await create_mission(
         storage, plan=world.plan, settings=world.settings, now_utc_s=world.clock.time(), extra={}
     )
@@ -41,7 +41,7 @@ def heard(storage: Path, script: Script | None = None, prepare: Callable[[World]
     async def main() -> list[str]:
         async with a_world(settings=some_settings()) as world:
             prepare(world)
-            said = await _run_guarded(world, storage, script)
+            said = await _fly(world, storage, script)
             return [f"{severity.name} {text}" for severity, text in said]
 
     return run_virtual(main())
@@ -49,9 +49,9 @@ def heard(storage: Path, script: Script | None = None, prepare: Callable[[World]
 
 def test_a_mission_without_trouble(tmp_path: Path) -> None:
     assert heard(tmp_path) == [
-        "INFO Pano: 4 shots, checking",
+        "INFO Pano: 4 shots, preflight checks",
         "NOTICE Pano: shooting, hold position",
-        "NOTICE Pano: complete, 4/4, gimbal is free",
+        "NOTICE Pano: complete, 4/4, gimbal released",
     ]
 
 
@@ -66,8 +66,8 @@ def test_a_pause_an_end_of_it_and_an_abort(tmp_path: Path) -> None:
 
     assert heard(tmp_path, script)[2:] == [
         "NOTICE Pano: paused: by command",
-        "NOTICE Pano: goes on at 1/4",
-        "WARNING Pano: aborted at 2/4, gimbal is free",
+        "NOTICE Pano: continues at 1/4",
+        "WARNING Pano: aborted at 2/4, gimbal released",
     ]
 
 
@@ -84,7 +84,7 @@ def test_guards_and_a_reboot(tmp_path: Path) -> None:
     assert heard(tmp_path, script)[2:5] == [
         "WARNING Pano: autopilot rebooted",
         "WARNING Pano: paused: battery low: land, swap, resume",
-        "NOTICE Pano: goes on at 1/4",
+        "NOTICE Pano: continues at 1/4",
     ]
 
 
@@ -103,7 +103,7 @@ def test_a_stop_of_the_process_and_what_the_next_one_says(tmp_path: Path) -> Non
                 stored.append(session.stored.directory)
 
             stored: list[object] = []
-            await _run_guarded(world, tmp_path, stop)
+            await _fly(world, tmp_path, stop)
             again = await open_mission(stored[0])  # type: ignore[arg-type]
             devices = Devices(gimbal=world.gimbal, camera=world.camera, vehicle=world.vehicle)
             opened = MissionSession.opened(again, devices=devices, clock=world.clock, sink=world.sink, vehicle={})
@@ -111,7 +111,10 @@ def test_a_stop_of_the_process_and_what_the_next_one_says(tmp_path: Path) -> Non
                 await session.run()
             return [text for _, text in world.vehicle.said]
 
-    assert run_virtual(main())[2:4] == ["Pano: stopped at 1/4, can be resumed", "Pano: goes on at 1/4, checking"]
+    assert run_virtual(main())[2:4] == [
+        "Pano: stopped at 1/4, can be resumed",
+        "Pano: resumed at 1/4, preflight checks",
+    ]
 
 
 def test_an_error_of_ours_is_not_kept_from_the_pilot(tmp_path: Path) -> None:
@@ -123,10 +126,10 @@ def test_an_error_of_ours_is_not_kept_from_the_pilot(tmp_path: Path) -> None:
                 session.stored.directory.journal.unlink()
 
             with pytest.RaisesGroup(MissionError):
-                await _run_guarded(world, tmp_path, delete)
+                await _fly(world, tmp_path, delete)
             return world.vehicle.said
 
-    assert run_virtual(main())[-1] == (Severity.ERROR, "Pano: stopped by an error, gimbal is free")
+    assert run_virtual(main())[-1] == (Severity.ERROR, "Pano: stopped by an error, gimbal released")
 
 
 def test_a_link_that_takes_no_words_keeps_no_mission_waiting(tmp_path: Path) -> None:
@@ -134,7 +137,7 @@ def test_a_link_that_takes_no_words_keeps_no_mission_waiting(tmp_path: Path) -> 
         async with a_world() as world:
             world.vehicle.deaf = True
             began = world.clock.monotonic()
-            await _run_guarded(world, tmp_path)
+            await _fly(world, tmp_path)
             assert world.journal.events == []
             finished = world.sink.events[-1].time_utc_s - 1_700_000_000.0
             assert world.clock.monotonic() - finished <= FLUSH_TIMEOUT_S + 0.01

@@ -170,7 +170,7 @@ async def _moment(rng: random.Random, world: World) -> None:
     await world.clock.sleep(rng.random() * 0.7)
 
 
-async def _check_running(rng: random.Random, world: World, tally: Tally) -> MissionRecord | None:
+async def _live(rng: random.Random, world: World, tally: Tally) -> MissionRecord | None:
     """One process: it ends by itself, or is killed, or stopped hard. Returns None when it was killed."""
     process = Process(world)
     mission = process.mission(past=list(world.journal.events))
@@ -225,7 +225,7 @@ async def _sequence(seed: int, tally: Tally) -> None:
         world.vehicle.turn_rate_deg_s, world.vehicle.turn_acceleration_deg_s2 = 720.0, 4000.0
         _prove_as_usual(world)
         for lives in range(1, 7):
-            record = await _check_running(rng, world, tally)
+            record = await _live(rng, world, tally)
             world.vehicle.change(boot_count=0)
             if record is None:
                 continue

@@ -29,7 +29,7 @@ def _lost(world: World) -> None:
 async def _drifts_and_comes_back(world: World, mission: Mission) -> None:
     world.vehicle.change(latitude_deg=47.0 + 4 * METRE)
     await until_event(world, ev.MissionPaused)
-    assert "4.0 m away from where" in mission.record.reason
+    assert "4.0 m from where" in mission.record.reason
     world.vehicle.change(latitude_deg=47.0)
 
 

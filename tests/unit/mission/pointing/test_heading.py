@@ -151,8 +151,7 @@ def test_a_mode_in_which_the_vehicle_cannot_be_turned_is_refused_before_anything
     world = fly(TWO_AXES, lambda w: w.vehicle.change(mode="HOLD"))
     assert world.record.state is S.FAILED
     assert world.record.reason == (
-        "4 shots need the vehicle to turn: "
-        "in flight mode HOLD it cannot be turned; change to OFFBOARD (ArduPilot: GUIDED)"
+        "4 shots need the vehicle to turn: it does not turn in flight mode HOLD; change to OFFBOARD (ArduPilot: GUIDED)"
     )
     assert world.vehicle.turns == []
     assert world.gimbal.commands == []
@@ -174,7 +173,7 @@ def test_a_pilot_who_takes_the_mode_away_pauses_it_and_gives_it_back() -> None:
     assert world.record.state is S.COMPLETE
     (paused,) = world.sink.of(ev.MissionPaused)
     assert (paused.code, paused.automatic) == ("turning", True)
-    assert "in flight mode HOLD it cannot be turned" in paused.reason
+    assert "it does not turn in flight mode HOLD" in paused.reason
 
 
 @pytest.mark.parametrize("low_high", [(-40.0, 40.0), (0.0, 0.0)])
@@ -182,7 +181,7 @@ def test_without_leave_to_turn_a_pose_beyond_the_pan_range_is_refused(low_high: 
     low, high = low_high
     world = fly(GimbalLimits(yaw_min_deg=low, yaw_max_deg=high, yaw_endless=False))
     assert world.record.state is S.FAILED
-    assert f"outside the gimbal's {low:g}° to {high:g}° of the nose" in world.record.reason
+    assert f"outside the gimbal's {low:g}° to {high:g}° relative to the heading" in world.record.reason
     assert 'gimbal.yaw = "auto" lets the vehicle turn' in world.record.reason
 
 
@@ -199,7 +198,7 @@ def test_a_vehicle_that_does_not_tell_its_heading_is_refused() -> None:
 
     world = fly(TWO_AXES, deaf)
     assert world.record.state is S.FAILED
-    assert "does not say where its nose points" in world.record.reason
+    assert "the vehicle's heading is unknown" in world.record.reason
 
 
 def test_a_refusal_of_the_vehicle_is_tried_again_and_told() -> None:
