@@ -176,11 +176,11 @@ async def test_takes_the_vehicle_it_was_told_to() -> None:
 
 
 async def test_a_twin_on_the_vehicle_is_noticed(autopilot: ScriptedPeer, link: MavsdkLink) -> None:
-    assert not link.has_twin
+    assert not link.has_id_conflict
     for _ in range(3):
         autopilot.beat(191, 18)
     autopilot.beat(154, 26)
-    await eventually(lambda: link.has_twin and 154 in link.components)
+    await eventually(lambda: link.has_id_conflict and 154 in link.components)
     assert link.components[154][0] == 26
 
 

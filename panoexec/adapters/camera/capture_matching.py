@@ -1,13 +1,13 @@
-"""Which report proves which photo. Pure bookkeeping of triggers and reports; lives on the event loop.
+"""Matches capture reports to triggers. Pure logic; for the event loop.
 
 Reports of one photo come from several senders (the camera itself, the autopilot's trigger, a counter), late, twice or
-not at all, and in between somebody else may take photos. A wrong match would call a photo proven that does not exist,
-or give it another one's file. So, in this order:
+not at all, and others may take photos in between. A wrong match would give a missing photo evidence or another photo's
+file. The rules, in this order:
 
 * the same index from the same sender is the same photo (a duplicate);
-* a report that tells when the photo was exposed belongs to the last trigger before that;
-* a report without time belongs to the trigger that its index points to, counted from the last match;
-* else to the oldest trigger that has no report of this kind.
+* a report with an exposure time belongs to the last trigger before that time;
+* a report without a time belongs to the trigger that its index points to, counted from the last match;
+* else to the oldest trigger without a report of this kind.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ _LATEST_EXPOSURE_S: Final = 10.0
 _LATEST_REPORT_S: Final = 60.0
 _SAME_PHOTO_S: Final = 1.0
 _KEEP: Final = 64
-_FIRST_NUDGE_S: Final = 1.0
+_FIRST_POLL_S: Final = 1.0
 
 _log = structlog.get_logger(__name__)
 
 
 class Source(StrEnum):
-    """Who reports."""
+    """The message that reports a photo."""
 
     CAPTURED = "CAMERA_IMAGE_CAPTURED"
     FEEDBACK = "CAMERA_FEEDBACK"
@@ -49,10 +49,10 @@ class Report:
     """One message about one photo.
 
     Attributes:
-        source: who reports.
-        success: False if the sender says that there is no photo.
-        exposed_s: start of the exposure on the mission's clock, NaN if that cannot be told.
-        evidence: what it proves and tells.
+        source: the kind of message.
+        success: False if the sender reports that no photo was taken.
+        exposed_s: start of the exposure on the mission's clock, NaN if unknown.
+        evidence: the evidence that it contains.
     """
 
     source: Source
@@ -62,36 +62,36 @@ class Report:
 
     @property
     def index(self) -> int:
-        """The sender's number of the photo, -1 if it has none."""
+        """The sender's image index, -1 if it has none."""
         return self.evidence.image_index
 
 
 class Capture:
-    """Implements `PendingCapture`: one trigger and what became known of its photo."""
+    """Implements `PendingCapture`: one trigger and the evidence of its photo."""
 
     def __init__(
         self,
         number: int,
         *,
         clock: Clock,
-        nudge: Callable[[Capture], Awaitable[None]] | None = None,
+        poll: Callable[[Capture], Awaitable[None]] | None = None,
         final: bool = False,
     ) -> None:
-        """Describe a trigger that is about to go out.
+        """Create it for a trigger that is about to be sent.
 
         Args:
-            number: running number of the trigger.
+            number: sequence number of the trigger.
             clock: of the mission.
-            nudge: asks the camera for news, if it can be asked.
-            final: nothing can ever become known of the photo.
+            poll: requests the capture status from the camera; None if that is not possible.
+            final: no evidence can ever arrive.
         """
         self.number = number
         self.sources: dict[Source, Report] = {}
         """The first report of each sender."""
         self.failed = False
-        """A sender said that there is no photo."""
+        """A sender reported that no photo was taken."""
         self._clock = clock
-        self._nudge = nudge
+        self._poll = poll
         self._final = final
         self._commanded_s = self._acknowledged_s = math.nan
         self._evidence = CaptureEvidence(level=EvidenceLevel.COMMANDED, received_s=math.nan)
@@ -99,12 +99,12 @@ class Capture:
 
     @property
     def commanded_s(self) -> float:
-        """See `PendingCapture.commanded_s`; NaN before the trigger went out."""
+        """See `PendingCapture.commanded_s`; NaN before the trigger was sent."""
         return self._commanded_s
 
     @property
     def known(self) -> CaptureEvidence:
-        """What is known by now."""
+        """The evidence so far."""
         return self._evidence
 
     @property
@@ -113,7 +113,7 @@ class Capture:
         return self._acknowledged_s
 
     def commanded(self, time_s: float) -> None:
-        """The trigger goes out now; may be called in another thread."""
+        """The trigger is sent now; may be called in another thread."""
         self._commanded_s = time_s
         self._evidence = replace(self._evidence, received_s=time_s)
 
@@ -123,11 +123,11 @@ class Capture:
         self._merge(CaptureEvidence(level=EvidenceLevel.ACKNOWLEDGED, received_s=time_s))
 
     def file_seen(self, time_s: float) -> None:
-        """The file that a report named is there."""
+        """The file that a report named exists."""
         self._merge(CaptureEvidence(level=EvidenceLevel.FILE_SEEN, received_s=time_s))
 
     def add(self, report: Report) -> None:
-        """Take a report of this photo."""
+        """Add a report of this photo."""
         duplicate = bool(self.sources)
         self.sources.setdefault(report.source, report)
         if not report.success:
@@ -139,14 +139,14 @@ class Capture:
         self._changed.set()
 
     async def evidence(self, at_least: EvidenceLevel, timeout_s: float) -> CaptureEvidence:
-        """See `PendingCapture.evidence`; returns early when the camera says that there is no photo."""
+        """See `PendingCapture.evidence`; returns early if the camera reports that no photo was taken."""
         if self._is_decided(at_least):
             return self._evidence
         left_s = self._commanded_s + timeout_s - self._clock.monotonic()
         async with asyncio.TaskGroup() as group:
             over = group.create_task(self._clock.sleep(max(0.0, left_s)), name="evidence timeout")
             over.add_done_callback(lambda _: self._changed.set())
-            asking = group.create_task(self._ask(), name="evidence nudge")
+            asking = group.create_task(self._ask(), name="evidence poll")
             while not (over.done() or self._is_decided(at_least)):
                 self._changed.clear()
                 await self._changed.wait()
@@ -158,44 +158,44 @@ class Capture:
         return self._final or self.failed or self._evidence.level >= at_least
 
     async def _ask(self) -> None:
-        """A report may have been lost on the way: ask, with growing patience."""
-        patience_s = _FIRST_NUDGE_S
-        while self._nudge is not None:
-            await self._clock.sleep(patience_s)
-            patience_s *= 2
+        """Poll the camera at growing intervals, because a report may have been lost."""
+        interval_s = _FIRST_POLL_S
+        while self._poll is not None:
+            await self._clock.sleep(interval_s)
+            interval_s *= 2
             try:
-                await self._nudge(self)
+                await self._poll(self)
             except DeviceError as error:
-                _log.debug("no news of the photo", number=self.number, error=str(error))
+                _log.debug("capture status request failed", number=self.number, error=str(error))
 
-    def _merge(self, news: CaptureEvidence) -> None:
+    def _merge(self, new: CaptureEvidence) -> None:
         old = self._evidence
-        best, other = (news, old) if news.level > old.level else (old, news)
+        best, other = (new, old) if new.level > old.level else (old, new)
 
-        def told(first: float, second: float) -> float:
+        def reported(first: float, second: float) -> float:
             return second if math.isnan(first) else first
 
         self._evidence = CaptureEvidence(
             level=best.level,
             received_s=best.received_s,
-            exposed_vehicle_s=told(best.exposed_vehicle_s, other.exposed_vehicle_s),
+            exposed_vehicle_s=reported(best.exposed_vehicle_s, other.exposed_vehicle_s),
             image_index=best.image_index if best.image_index >= 0 else other.image_index,
             file_url=best.file_url or other.file_url,
-            time_utc_s=told(best.time_utc_s, other.time_utc_s),
-            latitude_deg=told(best.latitude_deg, other.latitude_deg),
-            longitude_deg=told(best.longitude_deg, other.longitude_deg),
-            altitude_m=told(best.altitude_m, other.altitude_m),
+            time_utc_s=reported(best.time_utc_s, other.time_utc_s),
+            latitude_deg=reported(best.latitude_deg, other.latitude_deg),
+            longitude_deg=reported(best.longitude_deg, other.longitude_deg),
+            altitude_m=reported(best.altitude_m, other.altitude_m),
             duplicates=old.duplicates,
         )
         self._changed.set()
 
 
 class CaptureMatcher:
-    """All triggers of a camera, and the reports that came."""
+    """The recent triggers of a camera and their reports."""
 
     def __init__(self) -> None:
-        self.surplus = 0
-        """Photos that were reported but not triggered by us."""
+        self.foreign_photos = 0
+        """Number of reported photos that panoexec did not trigger."""
         self._captures: deque[Capture] = deque(maxlen=_KEEP)
         self._seen: dict[tuple[Source, int], tuple[Report, Capture | None]] = {}
         self._last_match: dict[Source, tuple[int, int]] = {}
@@ -204,27 +204,27 @@ class CaptureMatcher:
 
     @property
     def image_count(self) -> int:
-        """The camera's count of images, if it includes every photo triggered since its first count; else -1."""
+        """The camera's image count if it includes every photo triggered since its first count; else -1."""
         counts_all = all(
             Source.COUNT in capture.sources for capture in self._captures if not capture.commanded_s <= self._count_s
         )
         return self._count if self._count is not None and counts_all else -1
 
     def enter(self, capture: Capture) -> None:
-        """A trigger is about to go out."""
+        """Add a trigger that is about to be sent."""
         self._captures.append(capture)
 
     def withdraw(self, capture: Capture) -> None:
-        """A trigger was refused: no photo will come of it."""
+        """Remove a refused trigger: it takes no photo."""
         if capture in self._captures:
             self._captures.remove(capture)
 
     def report(self, report: Report) -> Capture | None:
-        """Take a report; returns the trigger that it belongs to, None for a photo that is not ours."""
+        """Match a report; returns its trigger, or None for a photo that panoexec did not trigger."""
         key = (report.source, report.index)
         if report.index >= 0 and key in self._seen:
             first, capture = self._seen[key]
-            if _same_photo(first, report):
+            if _is_same_photo(first, report):
                 if capture is not None:
                     capture.add(report)
                 return capture
@@ -234,17 +234,18 @@ class CaptureMatcher:
             if len(self._seen) > 4 * _KEEP:
                 del self._seen[next(iter(self._seen))]
         if capture is None:
-            self.surplus += 1
-            _log.warning("a photo that was not asked for", source=report.source, index=report.index)
+            self.foreign_photos += 1
+            _log.warning("unexpected photo", source=report.source, index=report.index)
         else:
             self._last_match[report.source] = (capture.number, report.index)
             capture.add(report)
         return capture
 
     def counted(self, images: int, received_s: float) -> None:
-        """Take the camera's count of images: each one more proves one trigger since the first count, newest first.
+        """Take the camera's image count: each increment is evidence of one trigger since the first count.
 
-        Newest first, because a count follows a photo at once: if the photo before was lost, the count is not its.
+        The newest trigger comes first, because the count is sent right after a photo: an older trigger without a report
+        has lost its photo.
         """
         before, self._count = self._count, images
         if before is None or images < before:  # the first count, or the card was formatted
@@ -289,11 +290,11 @@ class CaptureMatcher:
 
 
 class StampClock:
-    """Turns a sender's boot time into the mission's clock, by the fastest message so far.
+    """Converts a sender's boot time to the mission's clock, by the message with the least delay so far.
 
-    A message arrives after it was stamped, so arrival minus stamp is the difference of the clocks plus a delay; the
-    least of many comes close to the difference. A stamp turned so is never earlier than the truth. The bound relaxes
-    by 100 parts in a million, which is more than clocks drift apart.
+    A message arrives after it was stamped, so arrival minus stamp is the clock offset plus a delay; the minimum over many
+    messages approximates the offset. A converted stamp is never too early. The minimum relaxes by 100 ppm, which exceeds
+    the drift between clocks.
     """
 
     _DRIFT: Final = 1e-4
@@ -317,15 +318,15 @@ class StampClock:
         self._known += 1
 
     def exposed_s(self, stamp_s: float, received_s: float) -> float:
-        """When a stamped exposure began, on the mission's clock; NaN if too little is known of the sender's clock."""
+        """Convert the start of an exposure to the mission's clock; NaN if the offset is unknown."""
         rebooted = stamp_s < self._newest_stamp_s - _LATEST_REPORT_S
         if rebooted or not self._known or math.isnan(stamp_s):
             return math.nan
         return min(stamp_s + self._offset_s, received_s)
 
 
-def _same_photo(first: Report, again: Report) -> bool:
-    """Whether two reports of one index are of one photo; a camera that rebooted counts from 1 again."""
+def _is_same_photo(first: Report, again: Report) -> bool:
+    """Whether two reports with the same index are of the same photo; a rebooted camera counts from 1 again."""
     apart = again.exposed_s - first.exposed_s
     if math.isfinite(apart):
         return abs(apart) < _SAME_PHOTO_S

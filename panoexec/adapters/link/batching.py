@@ -14,10 +14,10 @@ from typing import Final
 
 from panoexec.adapters.link.message_hub import MavMessage
 
-GATHER_S: Final = 1.0
+MAX_DELAY_S: Final = 1.0
 """Real seconds after which what has gathered is read though nobody asks."""
 
-WAITING_MOST: Final = 20_000
+MAX_WAITING: Final = 20_000
 """So many are kept while the loop is busy; 60 s at 300 Hz. The oldest go."""
 
 
@@ -41,7 +41,7 @@ class MessageBatcher:
         self._take = take
         self._post = post
         self._eager = eager
-        self._waiting: deque[MavMessage] = deque(maxlen=WAITING_MOST)
+        self._waiting: deque[MavMessage] = deque(maxlen=MAX_WAITING)
         self._posted = False
         self._read_s = time.monotonic()
 
@@ -51,7 +51,7 @@ class MessageBatcher:
         # who waits says so before looking in here, and we look for one after filling it: one of both sees the other
         if self._posted:
             return
-        if self._eager() or message.heard_s - self._read_s >= GATHER_S:
+        if self._eager() or message.heard_s - self._read_s >= MAX_DELAY_S:
             self._posted = True
             self._post(self._woken)
 

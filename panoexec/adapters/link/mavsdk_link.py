@@ -36,8 +36,8 @@ DEFAULT_COMPONENT: Final = 191
 FAST_STREAMS: Final = ("GIMBAL_DEVICE_ATTITUDE_STATUS", "ATTITUDE")
 _GIMBAL_REPORTS: Final = ("GIMBAL_DEVICE_ATTITUDE_STATUS", 285)
 _TICK_S: Final = 0.25
-_SPARING_TICK_S: Final = 1.0
-_LOOK_S: Final = 0.05
+_IDLE_TICK_S: Final = 1.0
+_DISCOVER_TICK_S: Final = 0.05
 _SILENT_REOPEN_S: Final = 5.0
 
 _log = structlog.get_logger(__name__)
@@ -91,7 +91,7 @@ class MavsdkLink:
         self._throttling = throttling
         self._calls = WorkerCalls("mavsdk")
         self._session = MavsdkSession(self.url, self._calls)
-        self._muted = DatagramFilter(self.url, _GIMBAL_REPORTS[1])
+        self._datagram_filter = DatagramFilter(self.url, _GIMBAL_REPORTS[1])
         self._hub = MessageHub(clock, self.post, mute=self._mute)
         self.requests = MavsdkRequests(
             self._session,
@@ -113,11 +113,11 @@ class MavsdkLink:
         self._on_return: list[Callable[[], None]] = []
         self._found = asyncio.Event()
         self._alive = asyncio.Event()
-        self._nudge = asyncio.Event()
+        self._wake = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stack = contextlib.AsyncExitStack()
         self._heartbeat_s = -math.inf
-        self._twin_beats = 0
+        self._conflict_heartbeats = 0
         self._hub.on("HEARTBEAT", self._heartbeat)
 
     # --- state
@@ -154,9 +154,9 @@ class MavsdkLink:
         return self._own_system or 1, self._component
 
     @property
-    def has_twin(self) -> bool:
+    def has_id_conflict(self) -> bool:
         """Whether somebody else on the vehicle beats with our ids: two daemons, or a wrong component_id."""
-        return self._twin_beats >= 2
+        return self._conflict_heartbeats >= 2
 
     # --- life
 
@@ -219,11 +219,11 @@ class MavsdkLink:
         """Call back, on the loop, when plugins can be made: at once if they can be now; returns what ends it."""
         if self._session.system is not None:
             callback()
-        return _listed(self._on_attached, callback)
+        return _registered(self._on_attached, callback)
 
     def when_back(self, callback: Callable[[], None]) -> Callable[[], None]:
         """Call back, on the loop, whenever the autopilot rebooted or came back; returns what ends it."""
-        return _listed(self._on_return, callback)
+        return _registered(self._on_return, callback)
 
     def post(self, callback: Callable[..., None], *args: object) -> None:
         """Call back on the loop; for the vendor's thread. Nothing happens once the loop is closed."""
@@ -234,7 +234,7 @@ class MavsdkLink:
     async def use_rates(self, *, active: bool) -> None:
         """Ask for the rates of a flying mission, or for those of waiting. What fails is tried again by itself."""
         self.streams.active = active
-        self._nudge.set()
+        self._wake.set()
         self._hub.throttle(FAST_STREAMS if self._throttling and not active else ())
         if self.connected:
             await self.streams.ask()
@@ -250,7 +250,7 @@ class MavsdkLink:
             if was_away:
                 self.post(self._came_back)
         elif (self._vehicle_system, message.component_id) == self.own_ids:
-            self._twin_beats += 1
+            self._conflict_heartbeats += 1
 
     # --- on the loop
 
@@ -259,16 +259,16 @@ class MavsdkLink:
         self._alive.set()
         self._session.heard()
         self.streams.forget()
-        self._nudge.set()
+        self._wake.set()
         for callback in tuple(self._on_return):
             callback()
 
     async def _keep(self) -> None:
         """Find the autopilot, then look after its streams and the connection, for ever."""
         await self._discover()
-        twin_told = False
+        conflict_logged = False
         while True:
-            self._nudge.clear()
+            self._wake.clear()
             self.streams.measure()
             self._hub.listen_again()
             if self.connected:
@@ -277,14 +277,14 @@ class MavsdkLink:
                 self._alive.clear()
                 if self.url.kind in ("serial", "tcpout") and self.heartbeat_age_s > _SILENT_REOPEN_S:
                     await self._session.reopen()
-            if self.has_twin and not twin_told:
-                twin_told = True
+            if self.has_id_conflict and not conflict_logged:
+                conflict_logged = True
                 _log.error("another component of the vehicle uses our MAVLink ids", ids=self.own_ids)
             with contextlib.suppress(TimeoutError):
                 # each look at streams and connection is a wakeup: a daemon that waits has time
                 waits = self._throttling and not self.streams.active and self.connected
-                async with asyncio.timeout(_SPARING_TICK_S if waits else _TICK_S):
-                    await self._nudge.wait()
+                async with asyncio.timeout(_IDLE_TICK_S if waits else _TICK_S):
+                    await self._wake.wait()
 
     async def _discover(self) -> None:
         since = time.monotonic()
@@ -292,7 +292,7 @@ class MavsdkLink:
             silent = time.monotonic() - since > _SILENT_REOPEN_S
             if not self._session.is_open or (silent and self.url.kind == "serial"):
                 await self._session.reopen()
-            await asyncio.sleep(_TICK_S if silent else _LOOK_S)
+            await asyncio.sleep(_TICK_S if silent else _DISCOVER_TICK_S)
         vehicle = system.get_system_id()
         self._vehicle_system = self.requests.system_id = vehicle
         if self._own_system is None:
@@ -317,9 +317,9 @@ class MavsdkLink:
     def _mute(self, name: str, muted: bool) -> None:
         if name == _GIMBAL_REPORTS[0]:
             if muted:
-                self._muted.mute()
+                self._datagram_filter.mute()
             else:
-                self._muted.unmute()
+                self._datagram_filter.unmute()
 
     async def _open(self) -> None:
         try:
@@ -334,7 +334,7 @@ class MavsdkLink:
         await self._session.close()
 
 
-def _listed(callbacks: list[Callable[[], None]], callback: Callable[[], None]) -> Callable[[], None]:
+def _registered(callbacks: list[Callable[[], None]], callback: Callable[[], None]) -> Callable[[], None]:
     callbacks.append(callback)
 
     def off() -> None:

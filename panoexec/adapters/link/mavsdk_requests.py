@@ -80,7 +80,7 @@ class MavsdkRequests:
         """
         return self._session.plugin(kind)
 
-    async def vendor_call(self, what: str, call: Callable[[], T]) -> T:
+    async def mavsdk_call(self, what: str, call: Callable[[], T]) -> T:
         """Run a blocking call of MAVSDK in a thread.
 
         Args:
@@ -109,7 +109,7 @@ class MavsdkRequests:
 
         Raises:
             DeviceError: not answered, or not sent.
-            LinkError: as `vendor_call`.
+            LinkError: as `mavsdk_call`.
         """
         system = self.system_id
         fields: dict[str, float] = {"target_system": system, "target_component": component, "command": command}
@@ -118,7 +118,7 @@ class MavsdkRequests:
             fields[f"param{number}"] = params[number - 1] if number <= len(params) else 0.0
         message = MavlinkMessage("COMMAND_LONG", 0, 0, system, component, json.dumps(fields, allow_nan=False))
         direct = self.plugin(MavlinkDirect)
-        ack = await self.vendor_call(f"command {command}", lambda: direct.send_command(message))
+        ack = await self.mavsdk_call(f"command {command}", lambda: direct.send_command(message))
         return int(json.loads(ack.fields_json)["result"])
 
     async def message(
@@ -143,7 +143,7 @@ class MavsdkRequests:
 
         Raises:
             DeviceError: refused, or it did not come within `timeout_s` real seconds after the answer.
-            LinkError: as `vendor_call`.
+            LinkError: as `mavsdk_call`.
         """
         arrived: asyncio.Future[MavMessage] = asyncio.get_running_loop().create_future()
 
@@ -181,7 +181,7 @@ class MavsdkRequests:
 
         for left in reversed(range(_PARAMETER_TRIES)):
             try:
-                return await self.vendor_call(f"reading {name}", read)
+                return await self.mavsdk_call(f"reading {name}", read)
             except DeviceError as error:
                 # an autopilot that has just been found may not answer the first time; what a mount's reports are worth
                 # hangs on the answer
@@ -200,11 +200,11 @@ class MavsdkRequests:
 
         Raises:
             DeviceError: not sent.
-            LinkError: as `vendor_call`.
+            LinkError: as `mavsdk_call`.
         """
         message = MavlinkMessage(name, fields_json=json.dumps(fields, allow_nan=False))
         direct = self.plugin(MavlinkDirect)
-        await self.vendor_call(what, lambda: direct.send_message(message))
+        await self.mavsdk_call(what, lambda: direct.send_message(message))
 
     async def say(self, text: str, severity: Severity = Severity.NOTICE) -> None:
         """Tell the pilot's ground station (STATUSTEXT, 253), in lines of 50 characters; never raises."""

@@ -22,7 +22,7 @@ P = TypeVar("P")
 _DRAIN_S: Final = 3.0
 _DESTROY_S: Final = 3.0
 _REOPEN_S: Final = 1.0
-_REOPEN_MOST_S: Final = 10.0
+_MAX_REOPEN_S: Final = 10.0
 
 _log = structlog.get_logger(__name__)
 
@@ -36,11 +36,11 @@ class MavsdkSession:
         self._url = url
         self._calls = calls
         self._mavsdk: Mavsdk | None = None
-        self._made: list[Mavsdk] = []
+        self._instances: list[Mavsdk] = []
         self._connection: Any = None
         self._plugins: dict[Any, Any] = {}
         self._next_open_s = 0.0
-        self._patience_s = _REOPEN_S
+        self._delay_s = _REOPEN_S
 
     @property
     def is_open(self) -> bool:
@@ -60,7 +60,7 @@ class MavsdkSession:
                 mavsdk = Mavsdk(configuration)
             finally:
                 configuration.destroy()
-            self._made.append(mavsdk)  # whoever waits for it may be cancelled meanwhile, and it must be destroyed
+            self._instances.append(mavsdk)  # whoever waits for it may be cancelled meanwhile, and it must be destroyed
             return mavsdk
 
         self._mavsdk = mavsdk = await self._calls.run(create)
@@ -71,8 +71,8 @@ class MavsdkSession:
         mavsdk, now = self._mavsdk, time.monotonic()
         if mavsdk is None or now < self._next_open_s:
             return
-        self._next_open_s = now + self._patience_s
-        self._patience_s = min(2 * self._patience_s, _REOPEN_MOST_S)
+        self._next_open_s = now + self._delay_s
+        self._delay_s = min(2 * self._delay_s, _MAX_REOPEN_S)
         old, self._connection = self._connection, None
         if old is not None:
             await self._calls.run(lambda: close_connection(mavsdk, old))
@@ -85,7 +85,7 @@ class MavsdkSession:
 
     def heard(self) -> None:
         """The vehicle is there: the next silence is met with fresh patience."""
-        self._patience_s = _REOPEN_S
+        self._delay_s = _REOPEN_S
         self._next_open_s = 0.0
 
     async def find_vehicle(self, wanted: int | None) -> System | None:
@@ -122,7 +122,7 @@ class MavsdkSession:
         self._plugins.clear()
         if not await self._calls.drain(_DRAIN_S):
             _log.warning("a call to the autopilot does not end")
-        made, self._made = self._made, []
+        made, self._instances = self._instances, []
         if not made:
             return
         loop, gone = asyncio.get_running_loop(), asyncio.Event()

@@ -70,7 +70,7 @@ class MessageHub:
     """Fans messages out to handlers; outlives the connection, to which it is attached when there is one."""
 
     def __init__(
-        self, clock: Clock, post: Callable[..., None], *, mute: Callable[[str, bool], None] = lambda _name, _muted: None
+        self, clock: Clock, post: Callable[..., None], *, mute: Callable[[str, bool], None] = lambda _name, _datagram_filter: None
     ) -> None:
         """Describe it.
 
@@ -85,7 +85,7 @@ class MessageHub:
         self._handlers: dict[str, tuple[Handler, ...]] = {}
         self._direct: MavlinkDirect | None = None
         self._subscriptions: dict[str, Any] = {}
-        self._spared: frozenset[str] = frozenset()
+        self._throttled: frozenset[str] = frozenset()
 
     def on(self, name: str, handler: Handler) -> Callable[[], None]:
         """Call `handler` with each message of that name, in the vendor's thread.
@@ -120,7 +120,7 @@ class MessageHub:
         A gimbal that is its own component reports 50 times a second, asked or not, and each report that reaches Python
         costs 0.2 ms of a small computer: too much for a daemon that waits for hours.
         """
-        self._spared = frozenset(names)
+        self._throttled = frozenset(names)
         self.listen_again()
 
     def listen_again(self) -> None:
@@ -135,7 +135,7 @@ class MessageHub:
         def arrived(message: Any, _user_data: object) -> None:
             received = MavMessage(name, message.component_id, message.fields_json, self._clock.monotonic())
             keep_thread_state()
-            if name in self._spared:
+            if name in self._throttled:
                 self._post(self._pause, name)
             try:
                 for handler in self._handlers[name]:
@@ -147,6 +147,6 @@ class MessageHub:
             self._subscriptions[name] = self._direct.subscribe_message(name, arrived)
 
     def _pause(self, name: str) -> None:
-        if self._direct is not None and name in self._spared and name in self._subscriptions:
+        if self._direct is not None and name in self._throttled and name in self._subscriptions:
             self._direct.unsubscribe_message(self._subscriptions.pop(name))
             self._mute(name, True)

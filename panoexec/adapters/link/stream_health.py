@@ -10,7 +10,7 @@ HEARTBEAT_LOST_S: Final = 3.0
 """Without a heartbeat of the autopilot for this long it counts as gone."""
 
 _SILENT_S: Final = 1.0
-_RETRY_MOST_S: Final = 10.0
+_MAX_RETRY_S: Final = 10.0
 _REFUSED_RETRY_S: Final = 30.0
 _BOOT_BACK_S: Final = 1.0
 
@@ -82,7 +82,7 @@ class StreamHealth:
         """The autopilot said that it cannot."""
         self._asked_hz = 0.0
         self._next_ask_s = -math.inf
-        self._patience_s = _SILENT_S
+        self._delay_s = _SILENT_S
 
     def note(self, now_s: float) -> None:
         """A message arrived; in the vendor's thread."""
@@ -93,7 +93,7 @@ class StreamHealth:
         """The autopilot rebooted, or the link was away: ask at once."""
         self._asked_hz = 0.0
         self._next_ask_s = -math.inf
-        self._patience_s = _SILENT_S
+        self._delay_s = _SILENT_S
 
     def due(self, wanted_hz: float, now_s: float) -> bool:
         """Whether to ask for `wanted_hz` now."""
@@ -112,10 +112,10 @@ class StreamHealth:
         """
         self.refused = granted is False
         self._asked_hz = wanted_hz if granted else 0.0
-        self._next_ask_s = now_s + (_REFUSED_RETRY_S if self.refused else self._patience_s)
-        self._patience_s = min(2 * self._patience_s, _RETRY_MOST_S)
+        self._next_ask_s = now_s + (_REFUSED_RETRY_S if self.refused else self._delay_s)
+        self._delay_s = min(2 * self._delay_s, _MAX_RETRY_S)
 
     def settle(self, wanted_hz: float, now_s: float) -> None:
         """Forget past trouble if it flows."""
         if now_s - self.last_s <= max(_SILENT_S, 5.0 / wanted_hz):
-            self._patience_s = _SILENT_S
+            self._delay_s = _SILENT_S
