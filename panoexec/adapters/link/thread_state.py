@@ -1,4 +1,4 @@
-"""What Python keeps of the vendor's thread between its calls."""
+"""Keeps Python's thread state of MAVSDK's callback thread between callbacks."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ _known = threading.local()
 
 
 def keep_thread_state() -> None:
-    """Keep what Python knows of the thread that calls this, one that Python did not make; harmless to repeat.
+    """Keep the Python thread state of the calling thread, which Python did not create; may be called repeatedly.
 
-    For each callback of such a thread ctypes makes a thread state, with memory of its own from the system, and destroys
-    it afterwards (PyGILState_Ensure and _Release, which count): with a hundred messages a second that was a quarter of
-    what the callbacks cost (measured: 2.3 % of a core, 1.8 % without). Counted once more, the state stays, until the
-    process ends: a few kilobytes a connection.
+    For each callback of such a thread ctypes allocates a thread state and frees it afterwards (PyGILState_Ensure and
+    _Release, which count references). At a hundred messages a second that was a quarter of the cost of the callbacks
+    (measured: 2.3 % of a core, 1.8 % without). One more reference keeps the state until the process ends: a few
+    kilobytes per connection.
     """
     if not hasattr(_known, "kept"):
         _known.kept = ctypes.pythonapi.PyGILState_Ensure()
