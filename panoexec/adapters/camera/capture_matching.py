@@ -292,9 +292,9 @@ class CaptureMatcher:
 class StampClock:
     """Converts a sender's boot time to the mission's clock, by the message with the least delay so far.
 
-    A message arrives after it was stamped, so arrival minus stamp is the clock offset plus a delay; the minimum over many
-    messages approximates the offset. A converted stamp is never too early. The minimum relaxes by 100 ppm, which exceeds
-    the drift between clocks.
+    A message arrives after it was stamped, so arrival minus stamp is the clock offset plus a delay; the minimum over
+    many messages approximates the offset. A converted stamp is never too early. The minimum relaxes by 100 ppm, which
+    exceeds the drift between clocks.
     """
 
     _DRIFT: Final = 1e-4

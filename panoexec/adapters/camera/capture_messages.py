@@ -1,4 +1,4 @@
-"""Converts MAVLink camera messages to reports for `CaptureMatcher`. Pure, except that it checks whether a file exists."""
+"""Converts MAVLink camera messages to reports for `CaptureMatcher`. Pure, except for a check for the file."""
 
 from __future__ import annotations
 

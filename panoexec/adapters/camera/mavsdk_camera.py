@@ -348,7 +348,7 @@ class MavsdkCamera:
             return f"component {self._component} is configured, but MAVSDK found: {seen}"
         beating = [component for component, (kind, _) in self._link.components.items() if kind == _MAV_TYPE_CAMERA]
         if beating:
-            return f"component {beating[0]} sends camera heartbeats but does not answer requests for CAMERA_INFORMATION (259)"
+            return f"component {beating[0]} sends camera heartbeats but no CAMERA_INFORMATION (259) on request"
         return (
             "no component answers requests for CAMERA_INFORMATION (259); camera on a servo or relay: set CAM1_TYPE "
             "(ArduPilot) and reboot; MAVLink camera: is it on, and does the autopilot forward its messages?"

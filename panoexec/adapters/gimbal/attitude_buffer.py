@@ -25,8 +25,8 @@ SOURCE_SILENT_S: Final = 1.0
 class AttitudeBuffer:
     """Implements `AttitudeFeed`; for the event loop.
 
-    An ArduPilot that drives a MAVLink gimbal sends a second, modified copy of the gimbal's reports (always in the vehicle
-    frame, without rates and failure flags), so reports of the gimbal itself are preferred.
+    An ArduPilot that drives a MAVLink gimbal sends a second, modified copy of the gimbal's reports (always in the
+    vehicle frame, without rates and failure flags), so reports of the gimbal itself are preferred.
     """
 
     def __init__(self, *, autopilot_component: int = 1, catch_up: Callable[[], None] = lambda: None) -> None:

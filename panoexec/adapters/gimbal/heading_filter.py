@@ -1,10 +1,10 @@
 """The vehicle's heading at the time of a gimbal's report, for gimbals that report it (`delta_yaw` of message 285).
 
 A gimbal in the vehicle's frame reports its yaw relative to the heading, and a multirotor in wind yaws at 15° a second
-and more (measured: ArduCopter SITL, 8 m/s). If the report is paired with the autopilot's ATTITUDE by arrival, a delay of
-50 ms between the two streams causes an error of 0.7°. The heading in the gimbal's report has the same time as its
-angles, but may drift if it comes from the gimbal's gyroscopes. So this is a complementary filter: fast changes come from
-the gimbal's heading, slow ones from the autopilot's.
+and more (measured: ArduCopter SITL, 8 m/s). If the report is paired with the autopilot's ATTITUDE by arrival, a delay
+of 50 ms between the two streams causes an error of 0.7°. The heading in the gimbal's report has the same time as its
+angles, but may drift if it comes from the gimbal's gyroscopes. So this is a complementary filter: fast changes come
+from the gimbal's heading, slow ones from the autopilot's.
 """
 
 from __future__ import annotations

@@ -81,8 +81,8 @@ class GimbalFound:
 class MavsdkGimbal:
     """Implements `Gimbal`; an async context manager on an open link, valid across reboots of the autopilot.
 
-    The attitude is read from MAVLink messages, not from MAVSDK's gimbal plugin, which drops the frame and failure flags,
-    pairs yaw with the last received ATTITUDE, and receives only one of two sources.
+    The attitude is read from MAVLink messages, not from MAVSDK's gimbal plugin, which drops the frame and failure
+    flags, pairs yaw with the last received ATTITUDE, and receives only one of two sources.
     """
 
     def __init__(self, link: MavsdkLink, *, feedback: Feedback | None = None) -> None:
@@ -352,7 +352,7 @@ class MavsdkGimbal:
             await self._link.requests.message(MANAGER_STATUS, "GIMBAL_MANAGER_STATUS", component=manager)
 
     async def _find_feedback(self, device_id: int) -> Feedback:
-        """The mount's kind of feedback; ArduPilot sets the vehicle frame even for mounts without feedback (see docs)."""
+        """The mount's kind of feedback; ArduPilot sets the vehicle frame even without feedback (see docs)."""
         if self._feedback_wanted is not None:
             return self._feedback_wanted
         stated: Feedback = "earth" if self._stated is YawFrame.EARTH else "vehicle"

@@ -216,13 +216,13 @@ class MavsdkLink:
         return self._hub.on(name, handler)
 
     def when_attached(self, callback: Callable[[], None]) -> Callable[[], None]:
-        """Call `callback` on the loop once plugins can be created, possibly at once; returns a function that removes it."""
+        """Call `callback` on the loop once plugins can be created, possibly now; returns a function that removes it."""
         if self._session.system is not None:
             callback()
         return _registered(self._on_attached, callback)
 
     def when_back(self, callback: Callable[[], None]) -> Callable[[], None]:
-        """Call `callback` on the loop when the autopilot rebooted or reconnected; returns a function that removes it."""
+        """Call `callback` on the loop when the autopilot rebooted or reconnected; returns a removal function."""
         return _registered(self._on_return, callback)
 
     def post(self, callback: Callable[..., None], *args: object) -> None:

@@ -115,8 +115,8 @@ class MavsdkSession:
     async def close(self) -> None:
         """Wait for running calls, then destroy MAVSDK; takes at most 6 s, and milliseconds if no call is running.
 
-        A call that is still running then (one for which the autopilot keeps reporting progress) blocks its daemon thread
-        for ever.
+        A call that is still running then (one for which the autopilot keeps reporting progress) blocks its daemon
+        thread for ever.
         """
         self._mavsdk = self.system = self._connection = None
         self._plugins.clear()

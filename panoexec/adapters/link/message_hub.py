@@ -121,8 +121,8 @@ class MessageHub:
     def throttle(self, names: Iterable[str]) -> None:
         """Receive only the first of these messages after each `listen_again`, until this is called again.
 
-        A gimbal with its own MAVLink component sends 50 reports a second, requested or not, and each report that reaches
-        Python takes 0.2 ms on a small computer: too much for an idle daemon.
+        A gimbal with its own MAVLink component sends 50 reports a second, requested or not, and each report that
+        reaches Python takes 0.2 ms on a small computer: too much for an idle daemon.
         """
         self._throttled = frozenset(names)
         self.listen_again()
