@@ -1,8 +1,8 @@
 """The journal of a mission: its events, written to disk before they are published.
 
 One SQLite file (`journal.sqlite`) in the mission's directory, in WAL mode with synchronous FULL: events survive kill -9
-and power cuts once `append` has returned. The plan and the settings at the mission's start are stored as JSON texts. The
-file is locked exclusively; a second process gets an error.
+and power cuts once `append` has returned. The plan and the settings at the mission's start are stored as JSON texts.
+The file is locked exclusively; a second process gets an error.
 
 Layout, version 1: `application_id` identifies a panoexec journal, `user_version` is the version of the layout; table
 `head` (key, value), table `events` (seq, type, time_utc_s, json).
@@ -243,7 +243,7 @@ def _check_pages(path: Path, connection: sqlite3.Connection) -> None:
 
 
 def _check_file(path: Path) -> None:
-    """Reject a foreign, newer or damaged file by its bytes, without opening it in SQLite, so that it stays unchanged."""
+    """Reject a foreign, newer or damaged file by its bytes, without opening it in SQLite, so that it is not changed."""
     try:
         with path.open("rb") as file:
             header = file.read(100)

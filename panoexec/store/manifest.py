@@ -2,9 +2,9 @@
 
 Attitudes are the camera's (FRD: x boresight, y right of the image, z bottom) in the plan's frame (NED whose x axis is
 the plan's yaw 0): a unit quaternion `[w, x, y, z]` from camera to that frame, and the gimbal's axes in the order yaw,
-roll, pitch (3-1-2): R = Rz(yaw) · Rx(roll) · Ry(pitch). This is the order of a gimbal's axes, to which tolerances refer;
-at roll 0 it equals the usual 3-2-1 angles. `reference.yaw_north_deg` converts plan yaw to yaw from true north. Errors
-are measured minus target (`planning.geometry.pose_error`), the largest over the exposure.
+roll, pitch (3-1-2): R = Rz(yaw) · Rx(roll) · Ry(pitch). This is the order of a gimbal's axes, to which tolerances
+refer; at roll 0 it equals the usual 3-2-1 angles. `reference.yaw_north_deg` converts plan yaw to yaw from true north.
+Errors are measured minus target (`planning.geometry.pose_error`), the largest over the exposure.
 """
 
 from __future__ import annotations
@@ -127,7 +127,9 @@ class ManifestWriter:
         for index, shot in record.shots.items():
             if index not in self._shots:
                 data = _shot_json(shot, record.reference_yaw_north_deg, self._path.parent)
-                self._shots[index] = f"  {json.dumps(data)}"  # one line: three times as fast as indented, and a third shorter
+                self._shots[index] = (
+                    f"  {json.dumps(data)}"  # one line: three times as fast as indented, and a third shorter
+                )
         head = json.dumps(self._head(), indent=1).removesuffix("\n}")
         shots = ",\n".join(self._shots[index] for index in sorted(record.shots))
         return f'{head},\n "shots": [\n{shots}\n ]\n}}\n'

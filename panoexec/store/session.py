@@ -106,7 +106,8 @@ async def open_mission(directory: MissionDirectory) -> StoredMission:
         JournalFileError: the journal is missing or unusable.
         InputFileError: the stored plan is invalid.
     """
-    # checked read-only first: opening for writing merges the write-ahead log, and a rejected journal must stay unchanged
+    # checked read-only first: opening for writing merges the write-ahead log, and a rejected journal must stay
+    # unchanged
     head, events = await asyncio.to_thread(read_journal, directory.journal)
     try:
         plan_data = json.loads(head["plan"])

@@ -55,7 +55,9 @@ async def test_is_not_found_without_its_attitude_and_says_which_message_is_missi
     autopilot: ScriptedPeer, link: MavsdkLink
 ) -> None:
     async with MavsdkGimbal(link) as gimbal:
-        with pytest.raises(DeviceError, match=r"no gimbal within 0\.3 s: no GIMBAL_DEVICE_ATTITUDE_STATUS \(285\)"):
+        with pytest.raises(
+            DeviceError, match=r"no gimbal within 0\.3 s: GIMBAL_DEVICE_ATTITUDE_STATUS \(285\) is not received"
+        ):
             await gimbal.discover(timeout_s=0.3)
         assert gimbal.feed.latest is None
         assert not gimbal.in_control
