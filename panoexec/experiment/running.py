@@ -1,4 +1,4 @@
-"""Runs cases: photographs, stitches, judges, keeps each result, and goes on where an interrupted run stopped."""
+"""Runs cases: renders, stitches and evaluates them, stores each result, and resumes an interrupted run."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ _SCENE_SEED: Final = 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
-    """What all cases share.
+    """Settings of all cases.
 
     Attributes:
-        output: a folder a case.
-        width_px: of the photos; None for the scenario's default.
-        spread: of the pointing errors.
-        scene: an equirectangular picture; None for the generated landscape.
-        memory_bytes: for blending.
-        keep: whether photos and panoramas stay.
-        restart: whether results of earlier runs are made anew.
+        output: output folder, with one folder per case.
+        width_px: width of the photos; None: the scenario's default.
+        spread: distribution of the pointing errors.
+        scene: an equirectangular image; None: the generated landscape.
+        memory_bytes: memory limit for blending.
+        keep: whether to keep photos and panoramas.
+        restart: whether to discard results of earlier runs.
     """
 
     output: Path
@@ -54,19 +54,19 @@ class Setting:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What came of a case.
+    """The result of a case.
 
     Attributes:
-        scenario, plan, seed, repeat: which.
-        images: of the plan.
-        photo_width_px: of the photos.
+        scenario, plan, seed, repeat: the case.
+        images: number of images of the plan.
+        photo_width_px: width of the photos.
         completeness: equation (8).
         holes: number of holes in the ground; `hole_px` its pixels, `ground_px` the ground's.
-        hole_elevations_deg: where the largest are.
+        hole_elevations_deg: elevations of the largest holes.
         untied: images without control points to the others.
         misalignment_deg: root mean square of the angles between the aligned and the true attitudes of the tied images,
-            after the best turn of the whole.
-        seconds: of stitching.
+            after the best global rotation.
+        seconds: duration of stitching.
     """
 
     scenario: int
@@ -86,16 +86,16 @@ class Outcome:
 
 
 Progress = Callable[[Case, str, float, str], None]
-"""Called with a case, its step, the fraction of that, and a text."""
+"""Called with a case, its step, the fraction of the step that is done, and a text."""
 
 
 def run_cases(wanted: Sequence[Case], setting: Setting, progress: Progress) -> list[Outcome]:
-    """Run them one after the other.
+    """Run cases one after the other.
 
     Args:
         wanted: from `cases`.
-        setting: what they share.
-        progress: told about every step.
+        setting: settings of all cases.
+        progress: called at every step.
 
     Raises:
         ToolError: Hugin's tools are missing or failed, or the disk is full; finished cases are kept.

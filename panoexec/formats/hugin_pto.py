@@ -152,15 +152,15 @@ def pto_image(file_name: str, width_px: int, height_px: int, rotation: ArrayLike
 
 
 def turn_of_orientation(exif_orientation: int) -> float:
-    """What EXIF's orientation adds to the roll of stored pixels, degrees; 0 for upright and mirrored ones."""
+    """Roll of the stored pixels by EXIF orientation, degrees; 0 for upright and mirrored ones."""
     return {3: 180.0, 6: 90.0, 8: -90.0}.get(exif_orientation, 0.0)
 
 
 def render_pto(project: PtoProject) -> str:
-    """The project's text, as Hugin's tools read it without a warning.
+    """The project as text, which Hugin's tools read without warnings.
 
     Raises:
-        ValueError: no images, or a file name that the format cannot hold.
+        ValueError: no images, or a file name that the format does not allow.
     """
     if not project.images:
         raise ValueError("a project needs at least one image")
@@ -215,18 +215,18 @@ def _number(value: float) -> str:
 
 
 def parse_pto(text: str) -> PtoProject:
-    """Read a project that has one lens and an equirectangular canvas: ours, also after Hugin's tools changed it.
+    """Parse a project with one lens and an equirectangular canvas, written by `render_pto` or Hugin's tools.
 
     Raises:
-        ValueError: it is no such project.
+        ValueError: it is not such a project.
     """
     lines = [line.rstrip() for line in text.splitlines()]
     panorama = next((_fields(line) for line in lines if line.startswith("p ")), None)
     images = [_fields(line) for line in lines if re.match(r"[io]\s", line)]
     if panorama is None or not images:
-        raise ValueError("is no Hugin project with images")
+        raise ValueError("is not a Hugin project with images")
     if panorama.get("f") != "2":
-        raise ValueError("is no Hugin project with an equirectangular canvas")
+        raise ValueError("is not a Hugin project with an equirectangular canvas")
     try:
         crop = tuple(int(v) for v in panorama["S"].split(",")) if "S" in panorama else None
         return PtoProject(
@@ -246,7 +246,7 @@ def parse_pto(text: str) -> PtoProject:
             ),
         )
     except (KeyError, ValueError, IndexError) as error:
-        raise ValueError(f"is a Hugin project with a line that makes no sense ({error})") from error
+        raise ValueError(f"is a Hugin project with an invalid line ({error})") from error
 
 
 def _fields(line: str) -> dict[str, str]:
