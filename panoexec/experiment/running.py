@@ -132,7 +132,7 @@ class _Work:
         self._result = self._folder / "outcome.json"
         self._width_px = setting.width_px or DEFAULT_WIDTH_PX[case.scenario]
         self._errors = PointingErrors(size=PAPER_TOLERANCE, spread=setting.spread, seed=case.seed)
-        # what a result depends on: another setting is another experiment
+        # the result depends on these settings
         self._key = {
             "images": len(plan.shots),
             "photo_width_px": self._width_px,
@@ -141,7 +141,7 @@ class _Work:
         }
 
     def known(self) -> Outcome | None:
-        """The result of an earlier run with the same setting."""
+        """The result of an earlier run with the same settings."""
         document = self._read(self._result)
         if document is None or document.get("key") != self._key:
             return None
@@ -152,7 +152,7 @@ class _Work:
             return None
 
     def run(self, scene: Scene, progress: Progress) -> Outcome:
-        """Photograph, stitch, judge."""
+        """Render, stitch and evaluate."""
         self._photograph(scene, progress)
         mission = load_mission(self._folder)
         options = StitchOptions(memory_bytes=self._setting.memory_bytes, restart=self._setting.restart)
@@ -166,7 +166,7 @@ class _Work:
         return outcome
 
     def _photograph(self, scene: Scene, progress: Progress) -> None:
-        """Make the capture unless an interrupted run left it whole."""
+        """Render the capture unless an earlier run completed it."""
         made = self._folder / "capture.json"
         photos = self._folder / "images"
         if not self._setting.restart and self._read(made) == self._key and photos.is_dir():
@@ -217,7 +217,7 @@ class _Work:
 
 
 def misalignment_deg(found: FloatArray, truth: FloatArray) -> float:
-    """Root mean square angle between attitudes (n, 3, 3) and the true ones, after the best turn of the whole; degrees.
+    """Root mean square angle between attitudes (n, 3, 3) and the true ones after the best global rotation; degrees.
 
     The turn is the rotation nearest to the sum of truth · foundᵀ (the orthogonal Procrustes problem).
     """
@@ -231,7 +231,7 @@ def misalignment_deg(found: FloatArray, truth: FloatArray) -> float:
 
 
 def merged(outcomes: Sequence[Outcome]) -> list[list[Outcome]]:
-    """The outcomes of each scenario and plan, in the order in which they first come."""
+    """The outcomes by scenario and plan, in the order of their first occurrence."""
     groups: dict[tuple[int, str], list[Outcome]] = {}
     for outcome in outcomes:
         groups.setdefault((outcome.scenario, outcome.plan), []).append(outcome)

@@ -1,12 +1,12 @@
-"""Hugin's project files (.pto): a small model of what panoexec needs, its text, and back.
+"""Hugin's project files (.pto): the data that panoexec needs, rendering and parsing.
 
-Angles. Hugin's y, p, r of an image are our camera-to-world rotation in the 3-2-1 order, Rz(y) · Ry(p) · Rx(r), with
+Angles. Hugin's y, p, r of an image are the camera-to-world rotation in the 3-2-1 order, Rz(y) · Ry(p) · Rx(r), with
 the same signs: yaw to the right, pitch up, roll positive when the right of the image goes down. Azimuth 0 is the middle
-of the canvas. They are computed from the rotation itself (`panoexec.angles.yaw_pitch_roll_321`), which is exact at the
-nadir too. Tests hold this against `nona`.
+of the canvas. They are computed from the rotation matrix (`panoexec.angles.yaw_pitch_roll_321`), which is exact at the
+nadir too. A test compares this with `nona`.
 
-Pixels of photos that a camera stores turned (EXIF orientation 6, 8 or 3: a camera mounted upright) are read by Hugin's
-tools as stored. `turn_deg` is what their roll differs by.
+Hugin's tools ignore the EXIF orientation (6, 8 or 3: a camera mounted upright) and read pixels as stored. `turn_deg` is
+the resulting difference in roll.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class PtoImage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControlPoint:
-    """The same point in two images, pixels as Hugin counts them (0 at the first pixel's centre)."""
+    """The same point in two images, in Hugin's pixel coordinates (0 at the first pixel's centre)."""
 
     first: int
     second: int
@@ -109,7 +109,7 @@ class PtoProject:
         return replace(self, images=images)
 
     def rays(self, image: ArrayLike, x: ArrayLike, y: ArrayLike) -> FloatArray:
-        """World directions (n, 3) of pixels of images; the lens is taken as free of distortion.
+        """World directions (n, 3) of pixels of images, without lens distortion.
 
         Args:
             image: image numbers (n,).
