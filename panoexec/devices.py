@@ -104,7 +104,7 @@ class CaptureEvidence:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RememberedPhoto:
+class RecalledPhoto:
     """An earlier photo, reported by the camera on request.
 
     Attributes:
@@ -117,7 +117,7 @@ class RememberedPhoto:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recollection:
+class RecalledPhotos:
     """The camera's latest photos, reported on request.
 
     Attributes:
@@ -125,7 +125,7 @@ class Recollection:
         image_count: the camera's image count, -1 if unknown.
     """
 
-    photos: tuple[RememberedPhoto, ...] = ()
+    photos: tuple[RecalledPhoto, ...] = ()
     image_count: int = -1
 
 

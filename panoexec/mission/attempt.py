@@ -17,7 +17,7 @@ from panoexec.mission.pointing.gate import SettleLimits, SettleTracker, Target, 
 from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.pointing.poses import PoseReader, read_pose, to_north
 from panoexec.mission.preflight import gimbal_limits
-from panoexec.mission.protocols import PhotoMemory
+from panoexec.mission.protocols import PhotoRecall
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.waiting import until, within
 from panoexec.planning.model import Shot
@@ -178,7 +178,7 @@ class Shooter:
         stamps: list[float] = []
         failure, broken_off = "", False
         end_s = 0.0
-        images_before = self.camera.image_count if isinstance(self.camera, PhotoMemory) else -1
+        images_before = self.camera.image_count if isinstance(self.camera, PhotoRecall) else -1
         for number in range(1, self.settings.brackets + 1):
             if number > 1:
                 left = self.clock.sleep(self._interval_left_s())

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 from panoexec.angles import FloatArray
-from panoexec.devices import Recollection
+from panoexec.devices import RecalledPhotos
 from panoexec.mission.log.events import Event
 from panoexec.planning.model import Certificate, Shot
 
@@ -41,7 +41,7 @@ class Verifier(Protocol):
 
 
 @runtime_checkable
-class PhotoMemory(Protocol):
+class PhotoRecall(Protocol):
     """A camera that reports its latest photos, to settle attempts that were open when the process ended."""
 
     @property
@@ -49,7 +49,7 @@ class PhotoMemory(Protocol):
         """The camera's image count if it includes all triggered photos; else -1."""
         ...
 
-    async def recall(self) -> Recollection:
+    async def recall(self) -> RecalledPhotos:
         """Request its latest photos.
 
         Raises:

@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from panoexec.devices import CaptureEvidence, EvidenceLevel, Recollection, RememberedPhoto
+from panoexec.devices import CaptureEvidence, EvidenceLevel, RecalledPhoto, RecalledPhotos
 from panoexec.errors import DeviceError
 from panoexec.mission import evidence
 from panoexec.mission.context import MissionContext
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import AttemptRecord, Verdict
-from panoexec.mission.protocols import PhotoMemory
+from panoexec.mission.protocols import PhotoRecall
 from panoexec.mission.verifier import overlaps_hold
 from panoexec.mission.waiting import until, within
 
@@ -43,7 +43,7 @@ async def settle_open_attempts(context: MissionContext) -> None:
     _, recollection = await until(context.requests.stopping.wait(), _recall(context), "recall photos")
     if context.requests.stop is not None and context.requests.stop.kind == "interrupt":
         return
-    photos = _Photos(context, recollection or Recollection())
+    photos = _Photos(context, recollection or RecalledPhotos())
     for index, record in sorted(shots.items()):
         for attempt in record.attempts:
             if attempt.exposed is not None and attempt.verdict is not Verdict.OPEN and _anonymous(attempt):
@@ -62,31 +62,31 @@ def _anonymous(attempt: AttemptRecord) -> bool:
     return any(photo.image_index < 0 and not photo.file for photo in attempt.photos)
 
 
-async def _recall(context: MissionContext) -> Recollection:
+async def _recall(context: MissionContext) -> RecalledPhotos:
     """The camera's latest photos; empty if it cannot report them or does not answer."""
     memory = context.camera
-    if not isinstance(memory, PhotoMemory):
-        return Recollection()
+    if not isinstance(memory, PhotoRecall):
+        return RecalledPhotos()
     for left in reversed(range(TRIES)):
         try:
             return await within(context.clock, RECALL_S, memory.recall(), "recall photos")
         except (DeviceError, TimeoutError):
             if left:
                 await context.clock.sleep(AGAIN_AFTER_S)
-    return Recollection()
+    return RecalledPhotos()
 
 
-async def _settle(context: MissionContext, index: int, attempt: AttemptRecord, remembered: _Photos) -> None:
+async def _settle(context: MissionContext, index: int, attempt: AttemptRecord, recalled: _Photos) -> None:
     exposed, settings = attempt.exposed, context.settings
     if exposed is None:
-        photos = remembered.since(attempt.started_utc_s)
-        if not photos and remembered.has_times:
+        photos = recalled.since(attempt.started_utc_s)
+        if not photos and recalled.has_times:
             context.recorder.emit(ev.ShotInterrupted(shot=index, attempt=attempt.number, reason=BEFORE))
             return
         reason = UNJUDGED if photos else UNKNOWN
     else:
-        photos = tuple(remembered.identified(photo) for photo in attempt.photos)
-        if len(photos) == 1 and remembered.is_one_more_than(exposed.images_before):
+        photos = tuple(recalled.identified(photo) for photo in attempt.photos)
+        if len(photos) == 1 and recalled.is_one_more_than(exposed.images_before):
             counted = CaptureEvidence(level=EvidenceLevel.COUNTED, received_s=math.nan)
             photos = (evidence.with_evidence(photos[0], counted),)
         proven = evidence.weakest(photos) >= settings.min_evidence
@@ -109,7 +109,7 @@ async def _settle(context: MissionContext, index: int, attempt: AttemptRecord, r
 class _Photos:
     """The photos reported by the camera that no attempt has claimed yet."""
 
-    def __init__(self, context: MissionContext, recollection: Recollection) -> None:
+    def __init__(self, context: MissionContext, recollection: RecalledPhotos) -> None:
         attempts = [attempt for record in context.record.shots.values() for attempt in record.attempts]
         known = {photo.image_index for attempt in attempts for photo in attempt.photos} - {-1}
         self._window_s = context.settings.exposure_bound_s
@@ -145,6 +145,6 @@ class _Photos:
         return tuple(_filed(number, other) for number, other in enumerate(found, start=1))
 
 
-def _filed(number: int, remembered: RememberedPhoto) -> ev.Photo:
-    photo = ev.Photo(number=number, evidence=EvidenceLevel.COMMANDED, capture_time_utc_s=remembered.exposed_utc_s)
-    return evidence.with_evidence(photo, remembered.evidence)
+def _filed(number: int, recalled: RecalledPhoto) -> ev.Photo:
+    photo = ev.Photo(number=number, evidence=EvidenceLevel.COMMANDED, capture_time_utc_s=recalled.exposed_utc_s)
+    return evidence.with_evidence(photo, recalled.evidence)

@@ -219,7 +219,7 @@ def test_a_mission_without_usable_photos(copy: Path, capsys: pytest.CaptureFixtu
         shot["accepted_attempt"] = None
     (copy / "manifest.json").write_text(json.dumps(document))
     assert app.run(["stitch", str(copy)]) == 1
-    assert "no accepted photo to stitch to stitch" in capsys.readouterr().err
+    assert "no accepted photo to stitch" in capsys.readouterr().err
 
 
 def test_tools_that_are_not_installed_or_fail(

@@ -24,7 +24,7 @@ from panoexec.adapters.link.mavsdk_requests import REQUEST_MESSAGE
 from panoexec.adapters.link.message_hub import MavMessage
 from panoexec.adapters.link.stream_keeper import AUTOPILOT
 from panoexec.clock import latest_s
-from panoexec.devices import EvidenceLevel, PendingCapture, Recollection
+from panoexec.devices import EvidenceLevel, PendingCapture, RecalledPhotos
 from panoexec.errors import DeviceError
 
 STORAGE_INFORMATION: Final = 261
@@ -221,11 +221,11 @@ class MavsdkCamera:
 
     @property
     def image_count(self) -> int:
-        """See `PhotoMemory.image_count`."""
+        """See `PhotoRecall.image_count`."""
         return self._matcher.image_count
 
-    async def recall(self) -> Recollection:
-        """See `PhotoMemory.recall`: for a resumed mission, before its first trigger."""
+    async def recall(self) -> RecalledPhotos:
+        """See `PhotoRecall.recall`: for a resumed mission, before its first trigger."""
         found = await self.discover()
         self._recalling = True
         try:

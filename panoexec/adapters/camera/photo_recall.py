@@ -15,7 +15,7 @@ from panoexec.adapters.camera.capture_matching import StampClock
 from panoexec.adapters.camera.capture_messages import captured_report, feedback_report
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.message_hub import MavMessage
-from panoexec.devices import CaptureEvidence, Recollection, RememberedPhoto
+from panoexec.devices import CaptureEvidence, RecalledPhoto, RecalledPhotos
 from panoexec.errors import DeviceError, LinkError
 
 CAPTURE_STATUS: Final = 262
@@ -29,7 +29,7 @@ _ALL_S: Final = 4.0
 _NO_CLOCK: Final = StampClock()
 
 
-async def recall_images(link: MavsdkLink, *, component: int) -> Recollection:
+async def recall_images(link: MavsdkLink, *, component: int) -> RecalledPhotos:
     """The last images of a camera with its own MAVLink component.
 
     Raises:
@@ -38,7 +38,7 @@ async def recall_images(link: MavsdkLink, *, component: int) -> Recollection:
     """
     status = await link.requests.message(CAPTURE_STATUS, "CAMERA_CAPTURE_STATUS", component=component)
     count = int(status.fields["image_count"])
-    photos: list[RememberedPhoto] = []
+    photos: list[RecalledPhoto] = []
     deadline = time.monotonic() + _ALL_S
     for index in range(count, max(-1, count - LAST_IMAGES - 1), -1):  # the newest matter most
         if time.monotonic() > deadline:
@@ -58,11 +58,11 @@ async def recall_images(link: MavsdkLink, *, component: int) -> Recollection:
             continue  # it has no image with this index
         report = captured_report(message, _NO_CLOCK)
         if report.success:
-            photos.append(_remembered(link, report.evidence, status))
-    return Recollection(photos=tuple(reversed(photos)), image_count=count)
+            photos.append(_recalled(link, report.evidence, status))
+    return RecalledPhotos(photos=tuple(reversed(photos)), image_count=count)
 
 
-async def recall_trigger(link: MavsdkLink, *, component: int, pin: bool) -> Recollection:
+async def recall_trigger(link: MavsdkLink, *, component: int, pin: bool) -> RecalledPhotos:
     """The last photo that an autopilot triggered, and its image count.
 
     Raises:
@@ -78,18 +78,16 @@ async def recall_trigger(link: MavsdkLink, *, component: int, pin: bool) -> Reco
     except LinkError:
         raise
     except DeviceError:
-        return Recollection(image_count=count)
+        return RecalledPhotos(image_count=count)
     found = feedback_report(message, pin=pin).evidence
-    return Recollection(photos=(_remembered(link, found, status),), image_count=count)
+    return RecalledPhotos(photos=(_recalled(link, found, status),), image_count=count)
 
 
-def _remembered(link: MavsdkLink, found: CaptureEvidence, status: MavMessage) -> RememberedPhoto:
+def _recalled(link: MavsdkLink, found: CaptureEvidence, status: MavMessage) -> RecalledPhoto:
     """The photo with its time on this machine's wall clock: by its age on the camera's boot clock, else as reported."""
     clock = link.clock
     age_s = status.fields["time_boot_ms"] / 1000.0 - found.exposed_vehicle_s
     answered_utc_s = clock.time() - (clock.monotonic() - status.received_s)
     # a stamp from before a reboot of the camera is invalid
     exposed_utc_s = answered_utc_s - age_s if age_s >= 0 else math.nan
-    return RememberedPhoto(
-        evidence=found, exposed_utc_s=found.time_utc_s if math.isnan(exposed_utc_s) else exposed_utc_s
-    )
+    return RecalledPhoto(evidence=found, exposed_utc_s=found.time_utc_s if math.isnan(exposed_utc_s) else exposed_utc_s)

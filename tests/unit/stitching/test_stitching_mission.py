@@ -58,5 +58,5 @@ def test_nothing_to_stitch_is_said_with_what_would_help(directory: MissionDirect
     with pytest.raises(StitchError, match=r"none of the 7 accepted photos is usable .* copy them from the camera"):
         load_mission(directory.path)
     edit(directory, lambda document: [shot.update(accepted_attempt=None) for shot in document["shots"]])
-    with pytest.raises(StitchError, match="no accepted photo to stitch to stitch"):
+    with pytest.raises(StitchError, match="no accepted photo to stitch"):
         load_mission(directory.path)
