@@ -2,7 +2,7 @@
 
 Frames (right-handed, as MAVLink's):
 
-* **world**: NED. x points to the plan's yaw reference (true north unless the mission says otherwise), y 90° clockwise
+* **world**: NED. x points to the plan's yaw reference (true north unless the mission uses the heading), y 90° clockwise
   from it seen from above, z down.
 * **camera**: FRD. x is the boresight, y the right of the image, z its bottom.
 
@@ -147,7 +147,7 @@ def quaternion_from_rotation(rotations: ArrayLike) -> FloatArray:
 
 
 def angle_between(a: ArrayLike, b: ArrayLike) -> FloatArray:
-    """Angle in degrees, [0, 180], between vectors (..., 3); accurate for tiny and for opposite ones alike."""
+    """Angle in degrees, [0, 180], between vectors (..., 3); accurate for nearly parallel and opposite ones."""
     u, v = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     cross = np.linalg.norm(np.cross(u, v), axis=-1)
     return np.asarray(np.degrees(np.arctan2(cross, np.sum(u * v, axis=-1))))

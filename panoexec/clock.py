@@ -1,4 +1,4 @@
-"""Time as the mission sees it: one protocol, so that tests drive it and a dry-run can speed it up."""
+"""The mission's clock: a protocol, so that tests can control time and a dry-run can accelerate it."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Seconds for durations, wall time for stamps only."""
+    """Monotonic seconds for durations, wall time for time stamps only."""
 
     def monotonic(self) -> float:
-        """Seconds since some fixed moment; never goes back, differences are durations."""
+        """Monotonic seconds since an arbitrary start; differences are durations."""
         ...
 
     def time(self) -> float:
-        """Wall time, seconds since 1970 UTC; for stamps only, it may jump."""
+        """Wall time, seconds since 1970 UTC; for time stamps only, because it may jump."""
         ...
 
     async def sleep(self, seconds: float) -> None:
@@ -33,7 +33,7 @@ class SystemClock:
     """The real clock, optionally running `speedup` times faster than real time.
 
     A simulated vehicle that runs at the same `speedup` and a mission on this clock see the same seconds. Wall time is
-    never sped up: stamps say when it really happened.
+    not accelerated.
     """
 
     def __init__(self, speedup: float = 1.0) -> None:
@@ -55,22 +55,22 @@ class SystemClock:
 
 
 RESOLUTION_S = 2e-6
-"""What a vehicle may round the time to that it tells."""
+"""Resolution of the time that a vehicle reports."""
 
 
 class VehicleClock:
-    """The clock of a simulated vehicle, which says itself how far it has come: no time passes that it has not lived.
+    """The clock of a simulated vehicle: its time is what the vehicle reports.
 
-    So a mission on this clock takes the same seconds however late a busy computer gets to it, on either side. What the
-    vehicle does not wait for by itself (a thread, the disk) is announced by `work`: whoever paces the simulation lets
-    it go slowly meanwhile.
+    So a mission on this clock takes the same number of seconds regardless of the computer's load. Work that the
+    simulation does not wait for by itself (a thread, the disk) is announced by `work`; the simulation is slowed down
+    meanwhile.
 
     Attributes:
-        on_told: called when somebody's sleep is over, or `look_at_s` is reached, in the thread that told the time, and
-            when work has ended; it shall see to it that `wake` is called on the loop.
+        on_told: called when a sleep is over or `look_at_s` is reached, in the thread that set the time, and at the end
+            of work; must cause a call of `wake` on the loop.
         on_work: called on the loop when work begins.
-        look_at_s: time from which on `on_told` is called in any case.
-        allowed_s: the furthest that the vehicle was ever allowed to come.
+        look_at_s: time from which `on_told` is called in any case.
+        allowed_s: the latest time up to which the vehicle was allowed to run.
     """
 
     def __init__(self, start_s: float = 0.0) -> None:
@@ -89,7 +89,7 @@ class VehicleClock:
         return self._now_s
 
     def time(self) -> float:
-        """See `Clock.time`: when it really happens."""
+        """See `Clock.time`; not simulated."""
         return time.time()
 
     async def sleep(self, seconds: float) -> None:
@@ -97,7 +97,7 @@ class VehicleClock:
         due_s = self._now_s + max(0.0, seconds)
         woken: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         heapq.heappush(self._sleepers, (due_s, next(self._number), woken))
-        # whoever tells the time looks for sleepers after setting it, we look at it after lying down: one of both sees
+        # `tell` checks for sleepers after setting the time, and here the time is checked after registering: no race
         if due_s <= self._now_s:
             self.wake()
             await asyncio.sleep(0)
@@ -106,19 +106,19 @@ class VehicleClock:
 
     @property
     def next_s(self) -> float:
-        """When the next sleep is over; infinity if nobody sleeps. On the loop."""
+        """End of the next sleep; infinity if there is none. For the event loop."""
         while self._sleepers and self._sleepers[0][2].done():
             heapq.heappop(self._sleepers)
         return self._sleepers[0][0] if self._sleepers else math.inf
 
     @property
     def is_at_work(self) -> bool:
-        """Whether something runs that takes real time."""
+        """Whether work that takes real time is running."""
         return self._works > 0
 
     @contextlib.contextmanager
     def work(self) -> Iterator[None]:
-        """While the block runs, something takes real time."""
+        """Mark the block as work that takes real time."""
         self._works += 1
         if self._works == 1:
             self.on_work()
@@ -130,14 +130,14 @@ class VehicleClock:
                 self.on_told()
 
     def tell(self, now_s: float) -> None:
-        """Take the vehicle's time, from any thread; what lies in the past is ignored."""
+        """Set the time that the vehicle reported, from any thread; earlier times are ignored."""
         self._go_on(now_s)
-        first = self._sleepers[:1]  # the loop may take it away at any moment
+        first = self._sleepers[:1]  # the loop may remove it at any time
         if self._now_s >= self.look_at_s or (first and first[0][0] <= self._now_s + RESOLUTION_S):
             self.on_told()
 
     def wake(self) -> None:
-        """End the sleeps that are over; on the loop."""
+        """Wake the sleepers whose time has come; for the event loop."""
         while (due_s := self.next_s) <= self._now_s + RESOLUTION_S:
             self._go_on(due_s)
             heapq.heappop(self._sleepers)[2].set_result(None)
@@ -148,10 +148,10 @@ class VehicleClock:
 
 
 def latest_s(clock: Clock) -> float:
-    """The latest time that it may be: a vehicle may already be a little further than it was heard to be."""
+    """Upper bound of the current time: a simulated vehicle may be ahead of its last report."""
     return max(clock.monotonic(), clock.allowed_s) if isinstance(clock, VehicleClock) else clock.monotonic()
 
 
 def work(clock: Clock) -> contextlib.AbstractContextManager[None]:
-    """While the block runs, something takes real time and not the clock's; only a vehicle's clock minds."""
+    """Mark the block as work that takes real time, not the clock's; only a `VehicleClock` needs it."""
     return clock.work() if isinstance(clock, VehicleClock) else contextlib.nullcontext()

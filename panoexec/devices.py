@@ -1,8 +1,8 @@
-"""The seam between a mission and the hardware: what the executor asks of a gimbal, a camera and a vehicle.
+"""The interfaces of a gimbal, a camera and a vehicle that the executor uses.
 
-Adapters implement these protocols (`panoexec.adapters`); the executor and the tests see nothing else. All times named
-`*_s` are seconds of the mission's `Clock.monotonic`, stamped by the adapter when a message arrives, unless they say
-`vehicle`: then they are seconds since boot on the sender's clock.
+Adapters implement these protocols (`panoexec.adapters`); the executor and the tests use nothing else. All times named
+`*_s` are seconds of the mission's `Clock.monotonic`, stamped by the adapter when a message arrives; times named
+`*_vehicle_s` or `vehicle_s` are seconds since boot on the sender's clock.
 """
 
 from __future__ import annotations
@@ -15,30 +15,30 @@ from typing import Protocol, TypeAlias
 from panoexec.planning.model import GimbalLimits
 
 Quaternion: TypeAlias = tuple[float, float, float, float]
-"""`[w, x, y, z]`, from the body's frame (FRD) to the frame that is named beside it."""
+"""`[w, x, y, z]`, from the body's frame (FRD) to the frame stated with it."""
 
 
 class YawFrame(StrEnum):
-    """What a gimbal's attitude is relative to."""
+    """The reference frame of a gimbal's attitude."""
 
     EARTH = "earth"
     """Camera to world (NED, yaw from true north)."""
     VEHICLE = "vehicle"
     """Yaw from the vehicle's heading, roll and pitch from the horizon (MAVLink's YAW_IN_VEHICLE_FRAME)."""
     BODY = "body"
-    """Relative to the vehicle's airframe in all three axes (a servo mount that reports its demanded servo angles)."""
+    """Relative to the vehicle's airframe in all three axes (a servo mount that reports its commanded servo angles)."""
 
 
 @dataclass(frozen=True, slots=True)
 class AttitudeSample:
-    """One attitude report of the gimbal, as sent. Numbers may be NaN when the device says so: never within τ.
+    """One attitude report of the gimbal. Values may be NaN if the device reports so: they are never within tolerance.
 
     Attributes:
-        received_s: when it arrived, freed of jitter where the sender stamps its messages: never later than the arrival.
-        vehicle_s: when it was measured, the sender's boot time; NaN if not told.
-        q_wxyz: camera (FRD) to the frame that `yaw_frame` names.
-        yaw_frame: what the attitude is relative to.
-        rate_deg_s: magnitude of the angular velocity; NaN if not told.
+        received_s: when it arrived, without jitter if the sender stamps its messages: never later than the arrival.
+        vehicle_s: when it was measured, the sender's boot time; NaN if unknown.
+        q_wxyz: camera (FRD) to the frame of `yaw_frame`.
+        yaw_frame: the reference frame of the attitude.
+        rate_deg_s: magnitude of the angular velocity; NaN if unknown.
         failure_flags: the device's own errors (GIMBAL_DEVICE_ERROR_FLAGS), 0 = none.
     """
 
@@ -52,7 +52,7 @@ class AttitudeSample:
 
 @dataclass(frozen=True, slots=True)
 class VehicleAttitude:
-    """One attitude report of the airframe (FRD to world), for composing what a gimbal reports relative to it."""
+    """One attitude report of the airframe (FRD to world), to compose with a gimbal's relative attitude."""
 
     received_s: float
     vehicle_s: float
@@ -60,25 +60,25 @@ class VehicleAttitude:
 
 
 class EvidenceLevel(IntEnum):
-    """How well a photo is proven, weakest first."""
+    """The level of evidence of a photo, weakest first."""
 
     COMMANDED = 0
     """The trigger was sent."""
     ACKNOWLEDGED = 1
     """The autopilot or the camera accepted it."""
     COUNTED = 2
-    """CAMERA_FEEDBACK (180) at the trigger, or CAMERA_CAPTURE_STATUS (262) counted one more."""
+    """CAMERA_FEEDBACK (180) at the trigger, or the image count in CAMERA_CAPTURE_STATUS (262) increased."""
     FEEDBACK_PIN = 3
-    """CAMERA_FEEDBACK from a wired hot-shoe pin: the shutter did open."""
+    """CAMERA_FEEDBACK from a wired hot-shoe pin: the shutter opened."""
     CAPTURE_MESSAGE = 4
     """CAMERA_IMAGE_CAPTURED (263) from the camera itself, with success."""
     FILE_SEEN = 5
-    """The image file was seen."""
+    """The image file exists."""
 
 
 @dataclass(frozen=True, slots=True)
 class CaptureEvidence:
-    """All that became known of one photo; reports of the same photo are merged.
+    """The evidence of one photo; reports of the same photo are merged.
 
     Attributes:
         level: the best proof.
@@ -110,12 +110,12 @@ class CaptureEvidence:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RememberedPhoto:
-    """A photo that a camera tells of long after it was taken.
+class RecalledPhoto:
+    """An earlier photo, reported by the camera on request.
 
     Attributes:
-        evidence: what the camera tells of it.
-        exposed_utc_s: when it was exposed on this machine's wall clock; NaN if that cannot be told.
+        evidence: the camera's report.
+        exposed_utc_s: time of the exposure on this machine's wall clock; NaN if unknown.
     """
 
     evidence: CaptureEvidence
@@ -123,38 +123,38 @@ class RememberedPhoto:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recollection:
-    """What a camera remembers.
+class RecalledPhotos:
+    """The camera's latest photos, reported on request.
 
     Attributes:
-        photos: its last few, oldest first.
-        image_count: how many images it counts, -1 if it does not say.
+        photos: oldest first.
+        image_count: the camera's image count, -1 if unknown.
     """
 
-    photos: tuple[RememberedPhoto, ...] = ()
+    photos: tuple[RecalledPhoto, ...] = ()
     image_count: int = -1
 
 
 class PendingCapture(Protocol):
-    """A photo that was asked for; its evidence comes while the mission goes on."""
+    """A triggered photo; its evidence arrives while the mission continues."""
 
     @property
     def commanded_s(self) -> float:
-        """When the trigger was put on the wire: the exposure is not earlier."""
+        """When the trigger command was sent; the exposure is not earlier."""
         ...
 
     @property
     def acknowledged_s(self) -> float:
-        """When the acknowledgement arrived; NaN where nobody acknowledges, as over a cable."""
+        """When the acknowledgement arrived; NaN without one, as over a cable."""
         ...
 
     async def evidence(self, at_least: EvidenceLevel, timeout_s: float) -> CaptureEvidence:
-        """Wait for proof of level `at_least`; after `timeout_s` (since the trigger) return the best there is."""
+        """Wait for evidence of level `at_least`; after `timeout_s` (from the trigger) return the best so far."""
         ...
 
 
 class Camera(Protocol):
-    """Fires, and says what is known of the photo."""
+    """A camera that is triggered by command."""
 
     async def trigger(self) -> PendingCapture:
         """Take one photo; returns when the command was acknowledged.
@@ -167,7 +167,7 @@ class Camera(Protocol):
 
     @property
     def storage_free_images(self) -> float:
-        """How many more photos fit, as far as is known; infinity if the camera does not say."""
+        """How many more photos the storage holds; infinity if unknown."""
         ...
 
 
@@ -191,7 +191,7 @@ class AttitudeFeed(Protocol):
         ...
 
     async def newer_than(self, received_s: float) -> AttitudeSample:
-        """The first sample to arrive after `received_s`; waits for ever, callers bound it."""
+        """The first sample that arrives after `received_s`; has no timeout of its own."""
         ...
 
     def vehicle_attitude_at(self, sample: AttitudeSample) -> VehicleAttitude | None:
@@ -200,7 +200,7 @@ class AttitudeFeed(Protocol):
 
 
 class Gimbal(Protocol):
-    """Points a camera. Accepted is not arrived: judge by the feed."""
+    """A gimbal. An accepted command does not mean that the pose was reached: that shows the feed."""
 
     @property
     def feed(self) -> AttitudeFeed:
@@ -209,17 +209,17 @@ class Gimbal(Protocol):
 
     @property
     def limits(self) -> GimbalLimits | None:
-        """Angle limits as the gimbal manager states them, None if it does not."""
+        """Angle limits reported by the gimbal manager, None if unknown."""
         ...
 
     @property
     def in_control(self) -> bool:
-        """Whether the manager names us as the one in primary control, as of its last status."""
+        """Whether panoexec has primary control, by the manager's last status."""
         ...
 
     @property
     def controlled_by(self) -> tuple[int, int] | None:
-        """MAVLink system and component in primary control, (0, 0) for nobody; None if that is not known."""
+        """MAVLink system and component in primary control, (0, 0) for none; None if unknown."""
         ...
 
     async def acquire(self) -> None:
@@ -234,7 +234,7 @@ class Gimbal(Protocol):
     async def point(self, pitch_deg: float, yaw_deg: float | None) -> None:
         """Command an earth-fixed pose (yaw from true north) with roll 0; returns when accepted.
 
-        Without a yaw the camera looks along the vehicle's nose and follows it.
+        Without a yaw the camera follows the vehicle's heading.
 
         Raises:
             DeviceError: refused or not answered.
@@ -243,25 +243,25 @@ class Gimbal(Protocol):
         ...
 
     async def release(self) -> None:
-        """Give control back; never raises for a gimbal that is gone, and takes 3 s at most."""
+        """Release control; does not raise if the gimbal does not answer, and takes at most 3 s."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleStatus:
-    """The newest of what the vehicle says of itself; NaN or "" where it has not said.
+    """The newest status of the vehicle; NaN or "" for unknown values.
 
     Attributes:
         connected: whether heartbeats arrive.
-        armed: motors may turn.
-        in_air: the landed state says so.
+        armed: whether the motors are armed.
+        in_air: by the landed state.
         mode: flight mode as the adapter names it (MAVSDK's names: HOLD, OFFBOARD = GUIDED, STABILIZED, ...).
         heading_deg: true heading [0, 360).
         latitude_deg, longitude_deg, altitude_m, relative_altitude_m: position.
         battery_frac: 0 to 1.
-        position_ok: the estimator says that the global position is good.
-        boot_count: how many reboots were noticed since the adapter started.
-        unhealthy: sensors of its attitude and height that it uses and calls unhealthy, in words.
+        position_ok: whether the estimator reports a valid global position.
+        boot_count: number of reboots detected since the adapter started.
+        unhealthy: names of the attitude and height sensors in use that are reported as unhealthy.
     """
 
     connected: bool = False
@@ -280,7 +280,7 @@ class VehicleStatus:
 
 
 class Severity(IntEnum):
-    """How urgent a word to the pilot is (MAV_SEVERITY)."""
+    """Severity of a message to the pilot (MAV_SEVERITY)."""
 
     ERROR = 3
     WARNING = 4
@@ -293,18 +293,18 @@ class Vehicle(Protocol):
 
     @property
     def status(self) -> VehicleStatus:
-        """The newest known status; costs nothing to read."""
+        """The newest known status."""
         ...
 
     @property
     def turn_modes(self) -> tuple[str, ...]:
-        """Flight modes, as `status` names them, in which it obeys `turn`; empty if there are none."""
+        """Flight modes, as in `status`, in which it executes `turn`; empty if there are none."""
         ...
 
     async def turn(self, heading_deg: float, rate_deg_s: float) -> None:
-        """Turn the nose on the spot to a true heading, the short way, and keep it there; returns when accepted.
+        """Turn to a true heading on the spot, the short way, and hold it; returns when the command was accepted.
 
-        Accepted is not arrived, and in a mode that is none of `turn_modes` an autopilot may accept it and do nothing.
+        In a mode other than `turn_modes` an autopilot may accept the command and do nothing.
 
         Raises:
             DeviceError: refused or not answered.
@@ -313,5 +313,5 @@ class Vehicle(Protocol):
         ...
 
     async def say(self, text: str, severity: Severity = Severity.NOTICE) -> None:
-        """Tell the pilot's ground station (STATUSTEXT, at most 50 characters a line); never raises."""
+        """Send text to the ground stations (STATUSTEXT, at most 50 characters per line); never raises."""
         ...

@@ -1,4 +1,4 @@
-"""The tree of errors that panoexec raises on purpose.
+"""The exceptions that panoexec raises deliberately.
 
 Each carries the exit code that the command line ends with when nobody handled it (docs/contract.md: 1 the result falls
 short; 2 wrong usage, config or input file; 3 device or link failure). Messages are one line, for a pilot: what was
@@ -10,27 +10,27 @@ from __future__ import annotations
 from typing import ClassVar
 
 _PACKAGED = "/usr/lib/panoexec/"
-"""Where `packaging/stage` puts panoexec; nothing can be installed there by pip."""
+"""Install path of the Debian package; pip cannot install anything there."""
 
 
 class PanoexecError(Exception):
-    """Root of all errors raised on purpose; its text is fit to be shown to a user as it is."""
+    """Base class of all deliberate errors; its text can be shown to users unchanged."""
 
     exit_code: ClassVar[int] = 1
 
 
 class UsageError(PanoexecError):
-    """A wrong argument, or an output that cannot be written."""
+    """An invalid argument, or an output that cannot be written."""
 
     exit_code = 2
 
 
 class InputFileError(UsageError):
-    """A file (camera profile, plan, config, scene) that cannot be read or is wrong.
+    """A file (camera profile, plan, config, scene) that cannot be read or is invalid.
 
     Attributes:
-        source: the file, as the user named it.
-        problems: every problem found, each one line that names the key, the value and what would be accepted.
+        source: the file, as given by the user.
+        problems: all problems, each one line with the key, the value and what is accepted.
     """
 
     def __init__(self, source: str, problems: list[str]) -> None:
@@ -40,7 +40,7 @@ class InputFileError(UsageError):
 
 
 class PlanningError(UsageError):
-    """A request that no plan can satisfy; the message names the constraint and by how much it fails."""
+    """Constraints that no plan can satisfy; the message names the constraint and by how much it is missed."""
 
 
 class DependencyError(UsageError):
@@ -48,13 +48,13 @@ class DependencyError(UsageError):
 
 
 def to_install(extra: str) -> str:
-    """How to get an optional part of panoexec: what to type, or where it is to be had.
+    """How to install an optional part of panoexec.
 
     Args:
         extra: one of the extras in pyproject.toml.
     """
     if __file__.startswith(_PACKAGED):
-        return "the Debian package leaves it out, being for vehicles; take a clone, where `make dry-run` installs it"
+        return "not part of the Debian package, which is for vehicles; use a clone, where `make dry-run` installs it"
     return f"pip install 'panoexec[{extra}]'"
 
 
@@ -69,4 +69,4 @@ class LinkError(DeviceError):
 
 
 class MissionError(PanoexecError):
-    """A mission cannot go on or cannot be resumed."""
+    """A mission cannot continue or cannot be resumed."""

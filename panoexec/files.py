@@ -1,4 +1,4 @@
-"""Writing files so that readers see the old or the new one, never half of one."""
+"""Atomic writes: readers see the old or the new file, never a partial one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from panoexec.errors import UsageError
 
 
 def write_atomically(path: Path, content: bytes | str, *, sync: bool = True) -> None:
-    """Write a whole file: a temporary one beside it, fsync, rename.
+    """Write a file atomically: a temporary file in the same folder, fsync, rename.
 
     Args:
         path: the file; its folder must exist.
@@ -20,7 +20,7 @@ def write_atomically(path: Path, content: bytes | str, *, sync: bool = True) -> 
         sync: whether to wait for the disk, so that the file survives a power cut right after.
 
     Raises:
-        UsageError: the file cannot be written; the message names it and the system's reason. Nothing is left behind.
+        UsageError: the file cannot be written; the message names it and the system's reason. No temporary file remains.
     """
     data = content.encode() if isinstance(content, str) else content
 
@@ -31,15 +31,15 @@ def write_atomically(path: Path, content: bytes | str, *, sync: bool = True) -> 
 
 
 def write_atomically_with(path: Path, write: Callable[[Path], None], *, sync: bool = True) -> None:
-    """Like `write_atomically` for content that only some library can write.
+    """Like `write_atomically`, for content that a library writes.
 
     Args:
         path: the file; its folder must exist.
-        write: writes the content to the path it is given, which has the same suffix as `path`.
+        write: writes the content to the given path, which has the same suffix as `path`.
         sync: as above.
 
     Raises:
-        UsageError: the file cannot be written. Whatever else `write` raises passes through; nothing is left behind.
+        UsageError: the file cannot be written. Other exceptions of `write` propagate; no temporary file remains.
     """
     try:
         descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
@@ -65,7 +65,7 @@ def write_atomically_with(path: Path, write: Callable[[Path], None], *, sync: bo
 
 def _unwritable(path: Path, error: OSError) -> UsageError:
     reason = error.strerror or type(error).__name__
-    return UsageError(f"{path}: cannot be written ({reason}); name a file in an existing, writable folder")
+    return UsageError(f"{path}: cannot be written ({reason}); use a path in an existing, writable folder")
 
 
 def _sync(path: Path) -> None:

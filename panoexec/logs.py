@@ -1,4 +1,4 @@
-"""Logs by structlog: readable on a terminal, one JSON document a line for journald; always on stderr.
+"""Logging with structlog: readable on a terminal, one JSON document per line for journald; always on stderr.
 
 Modules log with `structlog.get_logger(__name__)`; mission and shot ids are bound by `structlog.contextvars`.
 """
@@ -16,11 +16,11 @@ LogFormat: TypeAlias = Literal["auto", "human", "json"]
 
 
 def configure_logs(level: LogLevel = "info", log_format: LogFormat = "auto", stream: TextIO | None = None) -> None:
-    """Set up structlog, and standard logging for the libraries below us, once per process.
+    """Set up structlog, and standard logging for libraries, once per process.
 
     Args:
         level: least severity that is shown.
-        log_format: `auto` is human on a terminal and JSON otherwise.
+        log_format: `auto` is readable text on a terminal and JSON otherwise.
         stream: stderr if not given; stdout belongs to results.
     """
     out = sys.stderr if stream is None else stream
@@ -57,6 +57,6 @@ def configure_logs(level: LogLevel = "info", log_format: LogFormat = "auto", str
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(level.upper())
-    # libraries that chatter at INFO
+    # libraries that log too much at INFO
     for name in ("asyncio", "matplotlib", "PIL"):
         logging.getLogger(name).setLevel(logging.WARNING)

@@ -1,4 +1,4 @@
-"""The camera as a pinhole: field of view from sensor and focal length, pixels of a panorama, ground resolution."""
+"""Pinhole camera model: field of view from sensor and focal length, panorama size, ground resolution."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
-    """An ideal pinhole camera; distortion is the stitcher's business, not the planner's.
+    """An ideal pinhole camera; the planner ignores distortion, which the stitcher corrects.
 
     Width runs along the image's right, height along its bottom, as mounted: a portrait camera has width < height.
 
     Attributes:
-        name: how users name it.
-        sensor_width_mm: the part of the sensor that the image uses, along the image's width.
+        name: name for users.
+        sensor_width_mm: width of the sensor area in use, along the image's width.
         sensor_height_mm: likewise along its height.
         image_width_px: pixels of a full image.
         image_height_px: likewise.

@@ -1,4 +1,4 @@
-"""What the vehicle says of itself, and how to tell its pilot something."""
+"""The vehicle: its status, turns, and messages to its pilot."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _IN_AIR: Final = frozenset({2, 3, 4})
 """MAV_LANDED_STATE: in air, taking off, landing."""
 
 _SENSORS: Final = {1: "gyroscopes", 2: "accelerometers", 4: "compass", 8: "barometer", 0x200000: "attitude estimator"}
-"""MAV_SYS_STATUS_SENSOR, as far as attitude, heading and height rest on them; the position is judged by itself."""
+"""MAV_SYS_STATUS_SENSOR bits of attitude, heading and height; the position is checked separately."""
 _POSITION_STALE_S: Final = 5.0
 _UNKNOWN_HEADING: Final = 65535
 
@@ -36,11 +36,11 @@ _UNKNOWN_HEADING: Final = 65535
 class MavsdkVehicle:
     """Implements `Vehicle`; an async context manager on an open link.
 
-    Read from the messages, but for the flight mode, which MAVSDK names for each kind of autopilot.
+    Reads MAVLink messages directly, except for the flight mode, which MAVSDK names for each kind of autopilot.
     """
 
     def __init__(self, link: MavsdkLink) -> None:
-        """Describe it; entering the context starts to listen."""
+        """Create it; entering the context subscribes to messages."""
         self._link = link
         self._off: list[Callable[[], None]] = []
         self._armed = False
@@ -52,7 +52,7 @@ class MavsdkVehicle:
         self._gps_ok = False
         self._estimator_ok: bool | None = None
         self._unhealthy: tuple[str, ...] = ()
-        self._place: tuple[float, float, float] | None = None
+        self._hold_position: tuple[float, float, float] | None = None
 
     @property
     def status(self) -> VehicleStatus:
@@ -84,24 +84,24 @@ class MavsdkVehicle:
     async def turn(self, heading_deg: float, rate_deg_s: float) -> None:
         """See `Vehicle.turn`.
 
-        ArduPilot: MAV_CMD_CONDITION_YAW (115), which it accepts in every mode and obeys in GUIDED. PX4 has no such
-        command: there it is a reposition to the place where it holds (192), at a speed of its own.
+        ArduPilot: MAV_CMD_CONDITION_YAW (115), which it accepts in every mode and executes in GUIDED. PX4 has no such
+        command: it gets MAV_CMD_DO_REPOSITION (192) to its hold position, and turns at its own rate.
         """
         if self._link.is_ardupilot:
             result = await self._link.requests.command(CONDITION_YAW, [heading_deg % 360.0, rate_deg_s])
             if result != 0:
                 raise DeviceError(f"turning the vehicle to {heading_deg:.1f}°: {MAV_RESULTS.get(result, result)}")
             return
-        if self._place is None:
+        if self._hold_position is None:
             status = self.status
-            self._place = (status.latitude_deg, status.longitude_deg, status.altitude_m)
-        place = self._place
-        if not all(math.isfinite(value) for value in place):
-            self._place = None
+            self._hold_position = (status.latitude_deg, status.longitude_deg, status.altitude_m)
+        position = self._hold_position
+        if not all(math.isfinite(value) for value in position):
+            self._hold_position = None
             raise DeviceError(f"turning the vehicle to {heading_deg:.1f}°: its position is unknown")
         action = self._link.requests.plugin(Action)
-        await self._link.requests.vendor_call(
-            f"turning the vehicle to {heading_deg:.1f}°", lambda: action.goto_location(*place, heading_deg)
+        await self._link.requests.mavsdk_call(
+            f"turning the vehicle to {heading_deg:.1f}°", lambda: action.goto_location(*position, heading_deg)
         )
 
     async def say(self, text: str, severity: Severity = Severity.NOTICE) -> None:
@@ -109,7 +109,7 @@ class MavsdkVehicle:
         await self._link.requests.say(text, severity)
 
     async def __aenter__(self) -> Self:
-        """Start to listen."""
+        """Subscribe to messages."""
         on = self._link.on
         self._off = [
             on("HEARTBEAT", self._heartbeat),
@@ -126,11 +126,11 @@ class MavsdkVehicle:
     async def __aexit__(
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """Stop listening."""
+        """Unsubscribe."""
         for off in self._off:
             off()
 
-    # --- in the vendor's thread; each assignment is whole, so that the loop reads a value or the one before
+    # --- in MAVSDK's thread; each assignment is atomic, so the event loop reads the old or the new value
 
     def _heartbeat(self, message: MavMessage) -> None:
         if message.component_id == AUTOPILOT:
@@ -174,7 +174,7 @@ class MavsdkVehicle:
 
     def _flight_mode(self, mode: FlightMode, _user_data: object) -> None:
         if mode.name != self._mode:
-            self._place = None  # somebody flew it, and may have flown it elsewhere
+            self._hold_position = None  # the vehicle may have been flown elsewhere
         self._mode = mode.name
 
     # --- on the loop
@@ -185,7 +185,7 @@ class MavsdkVehicle:
         self._off.append(partial(plugin.unsubscribe_flight_mode, handle))
 
     def _came_back(self) -> None:
-        """What was true before a reboot may not be true after it."""
+        """Reset the status that may have changed with a reboot."""
         self._estimator_ok = None
         self._gps_ok = False
         self._unhealthy = ()

@@ -150,13 +150,13 @@ class Commands:
         shot: dict[str, Any] = {}
         match request:
             case PauseRequest():
-                mission.verbs.pause(request.reason)
+                mission.commands.pause(request.reason)
             case FinishRequest():
-                mission.verbs.finish(request.reason)
+                mission.commands.finish(request.reason)
             case SkipRequest():
-                shot = {"shot": mission.verbs.skip(request.shot)}
+                shot = {"shot": mission.commands.skip(request.shot)}
             case RepeatRequest():
-                shot = {"shot": mission.verbs.repeat(request.shot)}
+                shot = {"shot": mission.commands.repeat(request.shot)}
         return shot | await self._done(mission)
 
     async def _done(self, mission: Mission) -> dict[str, Any]:
@@ -199,7 +199,7 @@ class Commands:
     async def _resume(self) -> dict[str, Any]:
         mission = await self._missions.under_way()
         if mission is not None:
-            mission.verbs.resume()
+            mission.commands.resume()
             return await self._done(mission)
         async with self._missions.claimed():
             if self._missions.offer is None:
@@ -213,7 +213,7 @@ class Commands:
             return {"mission_id": None}
         mission = await self._missions.under_way()
         if mission is not None:
-            mission.verbs.abort(reason)
+            mission.commands.abort(reason)
             return await self._done(mission)
         if self._missions.busy:
             raise MissionBusyError("the mission is just beginning: ask again")

@@ -284,7 +284,7 @@ class Missions:
         mission = self.mission
         if mission is not None:
             with contextlib.suppress(CommandRefusedError):
-                mission.verbs.interrupt(reason)
+                mission.commands.interrupt(reason)
         if self._claimed:
             await self._idle.wait()
 

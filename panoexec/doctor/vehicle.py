@@ -119,7 +119,7 @@ def _examine_components(link: MavsdkLink, findings: Findings) -> None:
         if component != AUTOPILOT
     ]
     findings.note("link", "components", f"{', '.join(others) or 'none'} beside the autopilot")
-    if link.has_twin:
+    if link.has_id_conflict:
         system, component = link.own_ids
         findings.missing(
             "link",

@@ -94,7 +94,7 @@ class MavsdkPilot:
             DeviceError: refused or not answered.
         """
         action = self._link.requests.plugin(Action)
-        await self._link.requests.vendor_call(
+        await self._link.requests.mavsdk_call(
             "flying there", lambda: action.goto_location(latitude_deg, longitude_deg, altitude_m, heading_deg)
         )
 
@@ -105,7 +105,7 @@ class MavsdkPilot:
             DeviceError: refused, or not down in time.
         """
         action = self._link.requests.plugin(Action)
-        await self._link.requests.vendor_call("landing", action.land)
+        await self._link.requests.mavsdk_call("landing", action.land)
         await self._wait(lambda: not self._vehicle.status.armed, timeout_s, "landing")
 
     async def set_speed(self, speed: float) -> None:
@@ -168,7 +168,7 @@ class MavsdkPilot:
                 why = "; ".join(said) or refusal or "it did not say why"
                 raise DeviceError(f"the autopilot could not be armed within {timeout_s:g} s: {why}")
             try:
-                await self._link.requests.vendor_call("arming", action.arm)
+                await self._link.requests.mavsdk_call("arming", action.arm)
             except DeviceError as error:
                 refusal = str(error)
             await self._clock.sleep(2 * _STEP_S)

@@ -1,1 +1,1 @@
-"""The paper's simulation case: its plans and ours, photographed in a scene with its errors, stitched, and judged."""
+"""The paper's simulation study: its plans and panoexec's, rendered with pointing errors, stitched and evaluated."""

@@ -1,7 +1,7 @@
-"""A mission's directory made without flying: a plan's images of a scene, taken with random pointing errors.
+"""Creates a mission directory without a flight: a plan's images of a scene, rendered with random pointing errors.
 
-The manifest says what was aimed at; the photos were taken elsewhere. What a stitcher makes of them shows what a plan is
-worth when nobody checks the pointing.
+The manifest contains the target attitudes, the photos have the errors. Stitching them shows how a plan performs without
+verification of the pointing.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ _JPEG_EXPOSURE_S: Final = 0.002
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointingErrors:
-    """How far off the gimbal is, image by image and axis by axis, independently.
+    """Random pointing errors, independent for each image and axis.
 
     Attributes:
-        size: of each axis.
-        spread: `uniform` within ± the size (as a tolerance is meant), or `normal` with the size as standard deviation.
-        seed: of the random numbers.
+        size: error bound of each axis.
+        spread: `uniform` within ± the size (like a tolerance), or `normal` with the size as standard deviation.
+        seed: random seed.
     """
 
     size: Tolerance
@@ -58,15 +58,15 @@ def write_capture(
     errors: PointingErrors | None,
     reference_yaw_north_deg: float = 0.0,
 ) -> FloatArray:
-    """Photograph a scene by a plan into a mission's directory.
+    """Render the images of a plan into a mission directory.
 
     Args:
-        folder: made if needed.
+        folder: created if needed.
         plan: shots in shooting order.
-        scene: what there is to see.
-        width_px: of the photos.
-        errors: of the pointing; None for none.
-        reference_yaw_north_deg: what the manifest says of the plan's yaw 0.
+        scene: the scene to render.
+        width_px: width of the photos.
+        errors: pointing errors; None for none.
+        reference_yaw_north_deg: direction of the plan's yaw 0, for the manifest.
 
     Returns:
         The true camera-to-world rotations (n, 3, 3).
@@ -102,13 +102,13 @@ def write_capture(
         "shots": entries,
     }
     write_plan(folder / "plan.json", plan)
-    # last: a folder with a manifest holds all photos
+    # written last: a folder with a manifest is complete
     write_atomically(folder / "manifest.json", json.dumps(manifest, indent=1) + "\n")
     return truth
 
 
 def true_rotations(plan: Plan, errors: PointingErrors | None) -> FloatArray:
-    """Where the camera looks when a plan is flown with pointing errors, camera-to-world (n, 3, 3)."""
+    """The camera's attitudes for a plan with pointing errors, camera-to-world (n, 3, 3)."""
     off = np.zeros((len(plan.shots), 3)) if errors is None else errors.draw(len(plan.shots))
     yaw = np.array([shot.yaw_deg for shot in plan.shots]) + off[:, 0]
     pitch = np.array([shot.pitch_deg for shot in plan.shots]) + off[:, 1]
@@ -116,7 +116,7 @@ def true_rotations(plan: Plan, errors: PointingErrors | None) -> FloatArray:
 
 
 def pose_json(pose: FloatArray) -> dict[str, Any]:
-    """A pose as a manifest writes it."""
+    """A pose in the manifest's format."""
     yaw, pitch, roll = (float(angle) for angle in yaw_pitch_roll(pose))
     return {
         "quaternion": quaternion_from_rotation(pose).tolist(),

@@ -1,4 +1,4 @@
-"""The cases: scenarios and plans, with what the paper's Table 2 says of them."""
+"""The cases: scenarios and plans, with the paper's results (Table 2)."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ class Case:
     Attributes:
         scenario: 1 to 3.
         plan: one of `PLANS`.
-        seed: of the pointing errors.
-        repeat: from 1; control points are not found the same way twice.
+        seed: random seed of the pointing errors.
+        repeat: from 1; the search for control points is not deterministic.
     """
 
     scenario: int
@@ -59,12 +59,12 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Its folder's."""
+        """The name of its folder."""
         return f"scenario-{self.scenario}-{self.plan}-seed-{self.seed}-run-{self.repeat}"
 
 
 def cases(scenarios: tuple[int, ...], plans: tuple[str, ...], seeds: int, repeats: int) -> list[Case]:
-    """All cases asked for, seed by seed, so that a part of them is of use.
+    """All requested cases, ordered by seed, so that an interrupted run is useful.
 
     Raises:
         UsageError: none of the plans exists for these scenarios.

@@ -1,6 +1,6 @@
-"""What geometry alone says of a plan flown with pointing errors: exact holes in the ground, without a photo.
+"""Exact holes of a plan with pointing errors, by geometry alone, without photos.
 
-A stitcher can only lose what is there; whether the ground is in the photos at all is decided by where they were taken.
+A stitcher cannot recover parts of the ground that no photo shows.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ HORIZON_DEG: Final = 0.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flights:
-    """All flights of a plan, each with other errors.
+    """The results of a plan over all seeds.
 
     Attributes:
-        scenario, plan: which.
-        images: of the plan.
-        runs: flights.
-        complete: flights whose photos hold all of the ground.
-        holes: the most in one flight.
-        largest_deg: the largest hole of all flights across, 0 without one.
-        elevation_deg: where that is; None without one.
+        scenario, plan: the case.
+        images: number of images of the plan.
+        runs: number of seeds.
+        complete: runs whose photos cover all of the ground.
+        holes: the most holes in one run.
+        largest_deg: size of the largest hole of all runs, 0 without one.
+        elevation_deg: its elevation; None without one.
     """
 
     scenario: int
@@ -43,11 +43,11 @@ class Flights:
 
 
 def fly(wanted: Sequence[Case], spread: Spread) -> list[Flights]:
-    """Fly all cases and look for holes in the ground, exactly.
+    """Compute the exact holes in the ground for all cases.
 
     Args:
-        wanted: from `cases`; repeats are the same flight.
-        spread: of the pointing errors.
+        wanted: from `cases`; repeats have the same result.
+        spread: distribution of the pointing errors.
     """
     seeds: dict[tuple[int, str], set[int]] = {}
     for case in wanted:

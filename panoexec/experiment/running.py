@@ -1,4 +1,4 @@
-"""Runs cases: photographs, stitches, judges, keeps each result, and goes on where an interrupted run stopped."""
+"""Runs cases: renders, stitches and evaluates them, stores each result, and resumes an interrupted run."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ _SCENE_SEED: Final = 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
-    """What all cases share.
+    """Settings of all cases.
 
     Attributes:
-        output: a folder a case.
-        width_px: of the photos; None for the scenario's default.
-        spread: of the pointing errors.
-        scene: an equirectangular picture; None for the generated landscape.
-        memory_bytes: for blending.
-        keep: whether photos and panoramas stay.
-        restart: whether results of earlier runs are made anew.
+        output: output folder, with one folder per case.
+        width_px: width of the photos; None: the scenario's default.
+        spread: distribution of the pointing errors.
+        scene: an equirectangular image; None: the generated landscape.
+        memory_bytes: memory limit for blending.
+        keep: whether to keep photos and panoramas.
+        restart: whether to discard results of earlier runs.
     """
 
     output: Path
@@ -54,19 +54,19 @@ class Setting:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What came of a case.
+    """The result of a case.
 
     Attributes:
-        scenario, plan, seed, repeat: which.
-        images: of the plan.
-        photo_width_px: of the photos.
+        scenario, plan, seed, repeat: the case.
+        images: number of images of the plan.
+        photo_width_px: width of the photos.
         completeness: equation (8).
         holes: number of holes in the ground; `hole_px` its pixels, `ground_px` the ground's.
-        hole_elevations_deg: where the largest are.
+        hole_elevations_deg: elevations of the largest holes.
         untied: images without control points to the others.
         misalignment_deg: root mean square of the angles between the aligned and the true attitudes of the tied images,
-            after the best turn of the whole.
-        seconds: of stitching.
+            after the best global rotation.
+        seconds: duration of stitching.
     """
 
     scenario: int
@@ -86,16 +86,16 @@ class Outcome:
 
 
 Progress = Callable[[Case, str, float, str], None]
-"""Called with a case, its step, the fraction of that, and a text."""
+"""Called with a case, its step, the fraction of the step that is done, and a text."""
 
 
 def run_cases(wanted: Sequence[Case], setting: Setting, progress: Progress) -> list[Outcome]:
-    """Run them one after the other.
+    """Run cases one after the other.
 
     Args:
         wanted: from `cases`.
-        setting: what they share.
-        progress: told about every step.
+        setting: settings of all cases.
+        progress: called at every step.
 
     Raises:
         ToolError: Hugin's tools are missing or failed, or the disk is full; finished cases are kept.
@@ -132,7 +132,7 @@ class _Work:
         self._result = self._folder / "outcome.json"
         self._width_px = setting.width_px or DEFAULT_WIDTH_PX[case.scenario]
         self._errors = PointingErrors(size=PAPER_TOLERANCE, spread=setting.spread, seed=case.seed)
-        # what a result depends on: another setting is another experiment
+        # the result depends on these settings
         self._key = {
             "images": len(plan.shots),
             "photo_width_px": self._width_px,
@@ -141,7 +141,7 @@ class _Work:
         }
 
     def known(self) -> Outcome | None:
-        """The result of an earlier run with the same setting."""
+        """The result of an earlier run with the same settings."""
         document = self._read(self._result)
         if document is None or document.get("key") != self._key:
             return None
@@ -152,7 +152,7 @@ class _Work:
             return None
 
     def run(self, scene: Scene, progress: Progress) -> Outcome:
-        """Photograph, stitch, judge."""
+        """Render, stitch and evaluate."""
         self._photograph(scene, progress)
         mission = load_mission(self._folder)
         options = StitchOptions(memory_bytes=self._setting.memory_bytes, restart=self._setting.restart)
@@ -166,7 +166,7 @@ class _Work:
         return outcome
 
     def _photograph(self, scene: Scene, progress: Progress) -> None:
-        """Make the capture unless an interrupted run left it whole."""
+        """Render the capture unless an earlier run completed it."""
         made = self._folder / "capture.json"
         photos = self._folder / "images"
         if not self._setting.restart and self._read(made) == self._key and photos.is_dir():
@@ -217,7 +217,7 @@ class _Work:
 
 
 def misalignment_deg(found: FloatArray, truth: FloatArray) -> float:
-    """Root mean square angle between attitudes (n, 3, 3) and the true ones, after the best turn of the whole; degrees.
+    """Root mean square angle between attitudes (n, 3, 3) and the true ones after the best global rotation; degrees.
 
     The turn is the rotation nearest to the sum of truth · foundᵀ (the orthogonal Procrustes problem).
     """
@@ -231,7 +231,7 @@ def misalignment_deg(found: FloatArray, truth: FloatArray) -> float:
 
 
 def merged(outcomes: Sequence[Outcome]) -> list[list[Outcome]]:
-    """The outcomes of each scenario and plan, in the order in which they first come."""
+    """The outcomes by scenario and plan, in the order of their first occurrence."""
     groups: dict[tuple[int, str], list[Outcome]] = {}
     for outcome in outcomes:
         groups.setdefault((outcome.scenario, outcome.plan), []).append(outcome)

@@ -1,4 +1,4 @@
-"""Files for other programs: stitchers, spreadsheets, ground stations; of a plan, or of a mission as flown."""
+"""Exports of a plan or a mission to other programs: stitchers, spreadsheets, ground stations."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ FORMATS: Final[Mapping[str, Callable[[ExportSet], str]]] = {
     "csv": csv_text,
     "qgc": qgc_text,
 }
-"""What `plan --export FORMAT=FILE` knows."""
+"""The formats of `plan --export FORMAT=FILE`."""
 
 
 def check_format(format_name: str) -> None:
-    """Refuse a format that is not known, before any work is done.
+    """Check the name of an export format.
 
     Raises:
-        UsageError: it is none of `FORMATS`.
+        UsageError: it is not one of `FORMATS`.
     """
     if format_name not in FORMATS:
         raise UsageError(f"--export {format_name}: unknown format; accepted are {', '.join(FORMATS)}")
@@ -65,10 +65,10 @@ def export_plan(format_name: str, plan: Plan, path: Path) -> None:
 
 
 def write_exports(exports: ExportSet, folder: Path) -> list[Path]:
-    """Write what a mission leaves for stitchers into its directory.
+    """Write a mission's exports into its directory.
 
-    `panorama.pto`, `papywizard.xml`, `shots.csv`, `panorama.xmp` (GPano values for the stitched file) and a sidecar an
-    image. Without a single image only the table is written.
+    `panorama.pto`, `papywizard.xml`, `shots.csv`, `panorama.xmp` (GPano values for the stitched file) and one sidecar
+    per image. Without images only the table is written.
 
     Args:
         exports: accepted photos with their measured attitudes, in the order taken.
@@ -78,7 +78,7 @@ def write_exports(exports: ExportSet, folder: Path) -> list[Path]:
         The files written.
 
     Raises:
-        UsageError: one cannot be written.
+        UsageError: a file cannot be written.
     """
     texts = {"shots.csv": csv_text(exports)}
     if exports.shots:

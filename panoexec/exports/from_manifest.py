@@ -1,4 +1,4 @@
-"""The accepted photos of a mission, as its manifest tells them (`panoexec.manifest/1`)."""
+"""The accepted photos of a mission, read from its manifest (`panoexec.manifest/1`)."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from panoexec.optics import Camera
 def export_set(
     document: Mapping[str, Any], folder: Path, *, calibrated_focal_length_mm: float | None = None
 ) -> ExportSet:
-    """The accepted photos in the order taken, with the names under which they lie in the mission directory.
+    """The accepted photos in the order taken, with their names in the mission directory.
 
     Args:
         document: a manifest's JSON.
-        folder: the mission directory; photos that are there are looked at for their size.
-        calibrated_focal_length_mm: the camera's, if known; a manifest does not hold it.
+        folder: the mission directory; the size of photos in it is read from their headers.
+        calibrated_focal_length_mm: the camera's, if known; a manifest does not contain it.
 
     Raises:
-        InputFileError: the manifest lacks something that it must have.
+        InputFileError: the manifest is incomplete or damaged.
     """
     try:
         shots = [shot for entry in document["shots"] for shot in _photos(entry, folder)]
         camera = _camera(document["camera"], calibrated_focal_length_mm)
         reference = document.get("reference", {}).get("yaw_north_deg")
-        # the order in which they were taken; what has no time stays where its index puts it
+        # by time; photos without a time come last, by index
         shots.sort(key=lambda shot: (shot.time_utc_s if math.isfinite(shot.time_utc_s) else math.inf, shot.index))
         return ExportSet(
             title=f"panoexec mission {document.get('mission_id', '')}".strip(),
@@ -59,7 +59,7 @@ def _camera(data: Mapping[str, Any], calibrated_mm: float | None) -> Camera:
 
 
 def _photos(entry: Mapping[str, Any], folder: Path) -> Iterator[ExportShot]:
-    """The photos of a shot's accepted attempt; none if it has none."""
+    """The photos of a shot's accepted attempt, if there is one."""
     number = entry.get("accepted_attempt")
     if number is None:
         return
@@ -96,7 +96,7 @@ def _photos(entry: Mapping[str, Any], folder: Path) -> Iterator[ExportShot]:
 
 
 def _seen(shot: ExportShot, folder: Path) -> ExportShot:
-    """With the size of the stored pixels if the file is there and is a JPEG."""
+    """The shot with the size of the stored pixels if the file is a readable JPEG."""
     if not shot.file_name:
         return shot
     try:

@@ -1,4 +1,4 @@
-"""Hugin project: one line an image with its attitude, one shared lens, an equirectangular canvas of true size."""
+"""Hugin project: one line per image with its attitude, one shared lens, an equirectangular canvas at full size."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from panoexec.formats.hugin_pto import PtoProject, pto_image, render_pto, turn_o
 
 
 def stored_size_px(exports: ExportSet) -> tuple[int, int]:
-    """Width and height of the photos as stored: of the first file that was seen, else the camera profile's.
+    """Width and height of the stored photos: of the first file with a known size, else of the camera profile.
 
-    They all come from one camera, so one size stands for all.
+    All photos come from one camera and have the same size.
     """
     seen = next((shot for shot in exports.shots if shot.width_px and shot.height_px), None)
     if seen is not None:
@@ -21,7 +21,7 @@ def stored_size_px(exports: ExportSet) -> tuple[int, int]:
 
 
 def canvas_px(exports: ExportSet) -> tuple[int, int]:
-    """Size of the whole sphere at the photos' resolution; even, as Hugin's tools make it anyway."""
+    """Size of the whole sphere at the photos' resolution; even, as Hugin's tools require."""
     camera = exports.camera
     scale = max(stored_size_px(exports)) / max(camera.image_width_px, camera.image_height_px)
     half = math.ceil(camera.panorama_px()[0] * scale / 2)
@@ -44,7 +44,7 @@ def hugin_project(exports: ExportSet) -> PtoProject:
     )
     return PtoProject(
         images=images,
-        # across the stored width, which is the upright image's height if the pixels are turned
+        # across the stored width, which is the upright image's height if the pixels are rotated
         hfov_deg=camera.vfov_deg if turned else camera.hfov_deg,
         canvas_px=canvas_px(exports),
     )
@@ -63,6 +63,6 @@ def hugin_text(exports: ExportSet) -> str:
 
 
 def _turn(shot: ExportShot, turned: bool) -> float:
-    """By how much the stored pixels are turned: EXIF says so, or their shape does for a camera that writes no EXIF."""
+    """Rotation of the stored pixels, degrees: from EXIF, or from their aspect ratio if there is no EXIF."""
     turn = turn_of_orientation(shot.orientation)
     return turn if turn or not turned else 90.0

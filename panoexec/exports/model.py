@@ -1,4 +1,4 @@
-"""What is exported: the images of a panorama, planned or taken, with the attitude of each."""
+"""Data of an export: the images of a panorama, planned or taken, with their attitudes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from panoexec.optics import Camera
 from panoexec.planning.model import Constraints, Plan
 
 PLACEHOLDER: Final = "shot_{index:04d}.jpg"
-"""Name of an image whose file nobody has named; what a crew renames its photos to if the camera never told."""
+"""Name of an image whose file name is unknown; the operator can rename the photos accordingly."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,22 +27,22 @@ class ExportShot:
     Attributes:
         index: position in the plan's shooting order.
         row: the plan's row.
-        file_name: its file, relative to the mission directory; "" if not known.
+        file_name: its file, relative to the mission directory; "" if unknown.
         q_wxyz: attitude, camera (FRD) to the plan's frame (NED, yaw 0 = the plan's reference); measured if `measured`.
         target_pitch_deg: planned pitch.
         target_yaw_deg: planned yaw, in the plan's frame.
         measured: whether the attitude was measured; else it is the planned one.
-        time_utc_s: when it was taken; NaN if it was not, or is not known.
-        width_px: stored pixels across if the file was seen, else 0 (the camera profile's).
-        height_px: likewise down.
-        orientation: EXIF's, 1 = upright.
-        latitude_deg: position, NaN if not known.
+        time_utc_s: when it was taken; NaN if not taken or unknown.
+        width_px: width of the stored pixels, 0 if unknown (then the camera profile's applies).
+        height_px: height of the stored pixels, likewise.
+        orientation: EXIF orientation, 1 = upright.
+        latitude_deg: position, NaN if unknown.
         longitude_deg: likewise.
         altitude_m: above mean sea level, likewise.
-        attempt: which attempt at the shot it is, from 1; 0 for a plan.
+        attempt: number of the attempt at the shot, from 1; 0 for a plan.
         bracket: number of the photo within its exposure bracket, from 1.
-        evidence: how well the photo is proven, as a word; "" for a plan.
-        errors_deg: pointing errors by axis ("pitch", "roll", "yaw"), the worst over the exposure.
+        evidence: evidence level of the photo; "" for a plan.
+        errors_deg: pointing errors by axis ("pitch", "roll", "yaw"), the largest over the exposure.
     """
 
     index: int
@@ -84,7 +84,7 @@ class ExportSet:
         camera: the camera.
         shots: at least one for most formats.
         reference_yaw_north_deg: direction of the plan's yaw 0, clockwise from true north.
-        constraints: what the plan had to satisfy, if known.
+        constraints: the plan's constraints, if known.
         settle_s: settle time, for formats that state one.
     """
 
@@ -103,11 +103,11 @@ class ExportSet:
 
 
 def from_plan(plan: Plan, *, settle_s: float = 0.3) -> ExportSet:
-    """The planned poses as images that are still to be taken.
+    """The planned poses as images to be taken.
 
     Args:
         plan: the plan.
-        settle_s: settle time to state.
+        settle_s: settle time for formats that contain one.
     """
     quaternions = quaternion_from_rotation(plan.rotations()) if plan.shots else np.empty((0, 4))
     shots = tuple(
@@ -134,22 +134,22 @@ def _quaternion(q: Sequence[float] | FloatArray) -> Quaternion:
     return w, x, y, z
 
 
-def local_name(folder: Path, told: str) -> str:
-    """The name under which a project in `folder` should look for a photo.
+def local_name(folder: Path, reported: str) -> str:
+    """The name of a photo relative to the mission directory.
 
-    Cameras tell a path on their card (`/DCIM/100MEDIA/DJI_0042.JPG`) or a URL; the photo, once copied, lies in the
-    mission directory or in a folder `images` below it.
+    Cameras report a path on their card (`/DCIM/100MEDIA/DJI_0042.JPG`) or a URL; a copied photo is in the mission
+    directory or in its folder `images`.
 
     Args:
         folder: the mission directory.
-        told: what the camera or the mission said, or "".
+        reported: the name reported by the camera, or "".
 
     Returns:
-        A relative path with forward slashes that exists, else the bare file name; "" for "".
+        The relative path of an existing file, with forward slashes, else the base name; "" for "".
     """
-    if not told:
+    if not reported:
         return ""
-    path = unquote(urlsplit(told).path) if "://" in told else told
+    path = unquote(urlsplit(reported).path) if "://" in reported else reported
     base = PurePosixPath(path.replace("\\", "/")).name
     relative = PurePosixPath(path)
     candidates = [] if relative.is_absolute() or ".." in relative.parts else [str(relative)]

@@ -1,11 +1,11 @@
 """Papywizard XML, version "c": read by PTGui, Autopano and Hugin.
 
-It holds no file names: readers pair its pictures with the photos by their order, so it lists the accepted photos in the
-order in which they were taken, and nothing else.
+The format has no file names: readers match its pictures and the photos by their order, so it contains only the accepted
+photos, in the order in which they were taken.
 
-Readers take yaw, pitch and roll as 3-2-1 angles. Near the poles a tiny roll of the gimbal becomes any roll at all in
+Readers interpret yaw, pitch and roll as 3-2-1 angles. Near the poles a small roll of the gimbal can become any roll in
 that order, which turns images upside down in PTGui. So beyond ±80° of pitch the gimbal's own yaw and pitch are written
-with roll 0: off by the gimbal's roll alone, which is within the tolerance.
+with roll 0; the error is the gimbal's roll, which is within the tolerance.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _FULL_FRAME_DIAGONAL_MM: Final = math.hypot(36, 24)
 
 
 def papywizard_angles(shot: ExportShot) -> tuple[float, float, float]:
-    """Yaw, pitch and roll as readers want them, degrees."""
+    """Yaw, pitch and roll in the format's convention, degrees."""
     gimbal_yaw, gimbal_pitch, _ = (float(angle) for angle in yaw_pitch_roll(shot.rotation))
     if abs(gimbal_pitch) > _POLAR_DEG:
         return gimbal_yaw, min(90.0, max(-90.0, gimbal_pitch)), 0.0
@@ -54,7 +54,7 @@ def _header(header: ET.Element, exports: ExportSet) -> None:
     _leaf(general, "comment", "panoexec: accepted photos only, in the order taken")
     shooting = ET.SubElement(header, "shooting", mode="preset")
     _leaf(shooting, "headOrientation", "up")
-    # stored portrait pixels are upright for the reader: no roll of 90° is to be added
+    # stored portrait pixels are upright: readers must not add a roll of 90°
     _leaf(shooting, "cameraOrientation", "portrait" if camera.is_portrait else "landscape")
     _leaf(shooting, "stabilizationDelay", f"{exports.settle_s:.1f}")
     times = [s.time_utc_s for s in shots if math.isfinite(s.time_utc_s)]

@@ -1,9 +1,9 @@
-"""A mission file for QGroundControl (`.plan`): the same poses, flown by the autopilot alone.
+"""A mission file for QGroundControl (`.plan`): the same poses, executed by the autopilot alone.
 
-The autopilot settles by a timer, not by feedback, and verifies nothing: this is a fallback, or a way to look at a plan
-in QGroundControl. ArduPilot also stores gimbal angles of mission items in whole degrees.
+The autopilot waits for a fixed time instead of feedback and verifies nothing: this is a fallback, or a way to display a
+plan in QGroundControl. ArduPilot also stores gimbal angles of mission items in whole degrees.
 
-The vehicle takes off where it stands, turns the gimbal to each pose (MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, earth-fixed),
+The vehicle takes off at its position, points the gimbal at each pose (MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, earth-fixed),
 waits, takes a photo, and returns at the end.
 """
 
@@ -27,13 +27,13 @@ def qgc_text(exports: ExportSet, *, height_m: float = 30.0, interval_s: float = 
     """The file's text.
 
     Args:
-        exports: poses; a plan's yaw must be from true north to mean anything to an autopilot.
-        height_m: height above the place of take-off.
+        exports: the poses; the plan's yaw must be relative to true north.
+        height_m: height above the take-off position.
         interval_s: wait after each photo.
     """
     mission = _Mission()
     mission.add(_NAV_TAKEOFF, 0, 0, 0, None, 0, 0, height_m, frame=_FRAME_GLOBAL_RELATIVE_ALTITUDE)
-    # the mission has no feedback: a generous second on top of the settle time stands in for the slew
+    # without feedback: one second for the slew in addition to the settle time
     wait_s = math.ceil(exports.settle_s + 1.0)
     for number, shot in enumerate(exports.shots, start=1):
         yaw = float(wrap_180(shot.target_yaw_deg + exports.reference_yaw_north_deg))
@@ -72,7 +72,7 @@ def _home(exports: ExportSet) -> list[float]:
 
 
 class _Mission:
-    """Numbers mission items as they are added."""
+    """A list of numbered mission items."""
 
     def __init__(self) -> None:
         self.items: list[dict[str, Any]] = []

@@ -1,4 +1,4 @@
-"""A table of the shots for spreadsheets and scripts: what was asked for, what was measured, which file."""
+"""A CSV table of the shots: target, measured attitude, file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ COLUMNS: Final = (
 
 
 def csv_text(exports: ExportSet) -> str:
-    """The file's text: a header and one line an image; unknown values are empty.
+    """The file's text: a header and one line per image; unknown values are empty.
 
     `yaw_deg` is in the plan's frame, `yaw_north_deg` from true north; pitch, yaw and roll are the gimbal's axes (3-1-2
     order), `hugin_*` the same attitude in Hugin's order.

@@ -1,7 +1,7 @@
-"""XMP beside the photos: a sidecar an image with its attitude and position; the GPano values of the panorama.
+"""XMP files: a sidecar per image with its attitude and position, and the GPano values of the panorama.
 
-The photos themselves are not touched. A sidecar has the photo's name with the suffix `.xmp` and lies beside it, or in a
-folder `xmp` when the photo is not in the mission directory.
+The photos themselves are not modified. A sidecar has the photo's name with the suffix `.xmp` and is in the same folder,
+or in the folder `xmp` if the photo is not in the mission directory.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def sidecar_text(exports: ExportSet, shot: ExportShot) -> str:
 
 
 def sidecar_path(folder: Path, shot: ExportShot) -> Path:
-    """Where the sidecar of an image goes."""
+    """The path of an image's sidecar."""
     photo = folder / shot.name
     if photo.is_file():
         return photo.with_suffix(".xmp")
@@ -39,19 +39,19 @@ def write_sidecars(exports: ExportSet, folder: Path) -> list[Path]:
     """Write all sidecars into the mission directory.
 
     Raises:
-        UsageError: one cannot be written.
+        UsageError: a file cannot be written.
     """
     written = []
     for shot in exports.shots:
         path = sidecar_path(folder, shot)
         path.parent.mkdir(parents=True, exist_ok=True)
-        # many small files that can be made again: not worth a wait for the disk each
+        # many small files that can be written again: no fsync for each
         write_atomically(path, sidecar_text(exports, shot), sync=False)
         written.append(path)
     return written
 
 
 def gpano_text(exports: ExportSet) -> str:
-    """The XMP packet for the stitched panorama, whole sphere at true size; its heading is the plan's yaw 0."""
+    """The XMP packet for the stitched panorama, whole sphere at full resolution; its heading is the plan's yaw 0."""
     width, _ = canvas_px(exports)
     return packet(gpano_properties(width, heading_deg=exports.reference_yaw_north_deg))

@@ -1,12 +1,12 @@
-"""Hugin's project files (.pto): a small model of what panoexec needs, its text, and back.
+"""Hugin's project files (.pto): the data that panoexec needs, rendering and parsing.
 
-Angles. Hugin's y, p, r of an image are our camera-to-world rotation in the 3-2-1 order, Rz(y) · Ry(p) · Rx(r), with
+Angles. Hugin's y, p, r of an image are the camera-to-world rotation in the 3-2-1 order, Rz(y) · Ry(p) · Rx(r), with
 the same signs: yaw to the right, pitch up, roll positive when the right of the image goes down. Azimuth 0 is the middle
-of the canvas. They are computed from the rotation itself (`panoexec.angles.yaw_pitch_roll_321`), which is exact at the
-nadir too. Tests hold this against `nona`.
+of the canvas. They are computed from the rotation matrix (`panoexec.angles.yaw_pitch_roll_321`), which is exact at the
+nadir too. A test compares this with `nona`.
 
-Pixels of photos that a camera stores turned (EXIF orientation 6, 8 or 3: a camera mounted upright) are read by Hugin's
-tools as stored. `turn_deg` is what their roll differs by.
+Hugin's tools ignore the EXIF orientation (6, 8 or 3: a camera mounted upright) and read pixels as stored. `turn_deg` is
+the resulting difference in roll.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class PtoImage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControlPoint:
-    """The same point in two images, pixels as Hugin counts them (0 at the first pixel's centre)."""
+    """The same point in two images, in Hugin's pixel coordinates (0 at the first pixel's centre)."""
 
     first: int
     second: int
@@ -109,7 +109,7 @@ class PtoProject:
         return replace(self, images=images)
 
     def rays(self, image: ArrayLike, x: ArrayLike, y: ArrayLike) -> FloatArray:
-        """World directions (n, 3) of pixels of images; the lens is taken as free of distortion.
+        """World directions (n, 3) of pixels of images, without lens distortion.
 
         Args:
             image: image numbers (n,).
@@ -152,15 +152,15 @@ def pto_image(file_name: str, width_px: int, height_px: int, rotation: ArrayLike
 
 
 def turn_of_orientation(exif_orientation: int) -> float:
-    """What EXIF's orientation adds to the roll of stored pixels, degrees; 0 for upright and mirrored ones."""
+    """Roll of the stored pixels by EXIF orientation, degrees; 0 for upright and mirrored ones."""
     return {3: 180.0, 6: 90.0, 8: -90.0}.get(exif_orientation, 0.0)
 
 
 def render_pto(project: PtoProject) -> str:
-    """The project's text, as Hugin's tools read it without a warning.
+    """The project as text, which Hugin's tools read without warnings.
 
     Raises:
-        ValueError: no images, or a file name that the format cannot hold.
+        ValueError: no images, or a file name that the format does not allow.
     """
     if not project.images:
         raise ValueError("a project needs at least one image")
@@ -215,18 +215,18 @@ def _number(value: float) -> str:
 
 
 def parse_pto(text: str) -> PtoProject:
-    """Read a project that has one lens and an equirectangular canvas: ours, also after Hugin's tools changed it.
+    """Parse a project with one lens and an equirectangular canvas, written by `render_pto` or Hugin's tools.
 
     Raises:
-        ValueError: it is no such project.
+        ValueError: it is not such a project.
     """
     lines = [line.rstrip() for line in text.splitlines()]
     panorama = next((_fields(line) for line in lines if line.startswith("p ")), None)
     images = [_fields(line) for line in lines if re.match(r"[io]\s", line)]
     if panorama is None or not images:
-        raise ValueError("is no Hugin project with images")
+        raise ValueError("is not a Hugin project with images")
     if panorama.get("f") != "2":
-        raise ValueError("is no Hugin project with an equirectangular canvas")
+        raise ValueError("is not a Hugin project with an equirectangular canvas")
     try:
         crop = tuple(int(v) for v in panorama["S"].split(",")) if "S" in panorama else None
         return PtoProject(
@@ -246,7 +246,7 @@ def parse_pto(text: str) -> PtoProject:
             ),
         )
     except (KeyError, ValueError, IndexError) as error:
-        raise ValueError(f"is a Hugin project with a line that makes no sense ({error})") from error
+        raise ValueError(f"is a Hugin project with an invalid line ({error})") from error
 
 
 def _fields(line: str) -> dict[str, str]:

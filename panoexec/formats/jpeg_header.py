@@ -1,4 +1,4 @@
-"""What a JPEG says of itself in its first segments: size, orientation; and whether its end is there."""
+"""JPEG headers: size and orientation, and whether the end marker exists."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class JpegHeader:
         width_px: stored pixels across.
         height_px: stored pixels down.
         orientation: EXIF's, 1 = upright, 6 = to be turned clockwise by 90° for viewing, 8 = by 270°, 3 = by 180°.
-        complete: whether the end marker is there; a truncated file has none.
+        complete: whether the end marker exists; a truncated file has none.
     """
 
     width_px: int
@@ -36,11 +36,11 @@ def read_jpeg_header(path: Path) -> JpegHeader:
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it is no JPEG, or is cut off in its header.
+        ValueError: not a JPEG, or truncated in its header.
     """
     with path.open("rb") as file:
         if file.read(2) != b"\xff\xd8":
-            raise ValueError("is no JPEG")
+            raise ValueError("is not a JPEG")
         orientation, size = 1, None
         while True:
             head = file.read(4)
@@ -66,12 +66,12 @@ def _has_end(file: BinaryIO) -> bool:
     start = file.tell()
     end = file.seek(0, os.SEEK_END)
     file.seek(max(start, end - _TAIL_BYTES))
-    # image data never holds these two bytes in a row: its 0xFF are followed by 0x00 or a restart marker
+    # image data never contains these two bytes in a row: its 0xFF are followed by 0x00 or a restart marker
     return b"\xff\xd9" in file.read()
 
 
 def _orientation(tiff: bytes) -> int:
-    """The orientation in a block of EXIF data, 1 if it says nothing sensible."""
+    """The orientation in a block of EXIF data, 1 if it is missing or invalid."""
     order = {b"II": "<", b"MM": ">"}.get(tiff[:2])
     if order is None:
         return 1

@@ -1,13 +1,13 @@
-"""XMP packets: the attitude of a photo, the geometry of a stitched panorama; and how they get into a JPEG without loss.
+"""XMP packets: attitude of a photo, geometry of a stitched panorama; and lossless insertion into a JPEG.
 
-Attitude is written twice, because readers look for one or the other:
+Attitude is written in two forms, because readers expect one or the other:
 
 * `drone-dji:Gimbal{Yaw,Pitch,Roll}Degree`: the camera's attitude in NED as yaw, pitch, roll in the 3-2-1 order, pitch
-  -90 = nadir. `drone-dji:MissionContext…Degree` is the aircraft's.
+  -90 = nadir. `drone-dji:Flight…Degree` is the aircraft's.
 * `Camera:{Yaw,Pitch,Roll}` (namespace of Pix4D): the same order, of a body whose z axis is the boresight and whose x
-  axis is the image's top, so that all are 0 in a photo of the nadir with its top to the north.
+  axis is the image's top, so that all angles are 0 in a photo of the nadir with its top to the north.
 
-Both are converted from the rotation itself, never from another sequence's angles; they are exact at their poles too.
+Both are computed from the rotation matrix, not from angles of another sequence, and are exact at the poles too.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _SIGNATURE: Final = b"http://ns.adobe.com/xap/1.0/\x00"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Position:
-    """Where a photo was taken: WGS 84, heights in metres; NaN or None where not known."""
+    """Position of a photo: WGS 84, heights in metres; NaN or None if unknown."""
 
     latitude_deg: float
     longitude_deg: float
@@ -117,7 +117,7 @@ def packet(properties: Mapping[str, str]) -> str:
     """The XMP packet (RDF/XML) of properties named `prefix:Name`, for a sidecar file or a JPEG.
 
     Raises:
-        ValueError: a prefix that is not known.
+        ValueError: an unknown prefix.
     """
     prefixes = {name.partition(":")[0] for name in properties}
     unknown = prefixes - _NAMESPACES.keys()
@@ -139,21 +139,21 @@ def packet(properties: Mapping[str, str]) -> str:
 
 
 def with_xmp(jpeg: bytes, xmp: str) -> bytes:
-    """A JPEG with its XMP packet set or replaced; every other byte is as before.
+    """A JPEG with its XMP packet set or replaced; all other bytes are unchanged.
 
     Args:
         jpeg: the file's content.
         xmp: the packet.
 
     Raises:
-        ValueError: no JPEG, a broken one, or a packet too long for one segment (65502 bytes).
+        ValueError: not a JPEG, a damaged one, or a packet too long for one segment (65502 bytes).
     """
     payload = _SIGNATURE + xmp.encode()
     if len(payload) + 2 > 0xFFFF:
         raise ValueError(f"XMP packet of {len(payload)} bytes does not fit into a JPEG segment")
     segment = struct.pack(">BBH", 0xFF, _APP1, len(payload) + 2) + payload
     if jpeg[:2] != b"\xff\xd8":
-        raise ValueError("is no JPEG")
+        raise ValueError("is not a JPEG")
     kept, position, place = [b"\xff\xd8"], 2, 1
     while True:
         if position + 4 > len(jpeg) or jpeg[position] != 0xFF:

@@ -1,4 +1,4 @@
 """Mission execution: slew, settle, capture, verify, accept or retake.
 
-Nothing here does I/O: the devices, the journal, the clock and the sink of events come in as protocols.
+This package does no I/O: devices, journal, clock and event sink are injected as protocols.
 """

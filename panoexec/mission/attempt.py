@@ -18,7 +18,7 @@ from panoexec.mission.pointing.gate import SettleLimits, SettleTracker, Target, 
 from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.pointing.poses import PoseReader, read_pose, to_north
 from panoexec.mission.preflight import gimbal_limits
-from panoexec.mission.protocols import PhotoMemory
+from panoexec.mission.protocols import PhotoRecall
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.waiting import until, within
 from panoexec.planning.model import Shot
@@ -26,14 +26,14 @@ from panoexec.planning.order.duration import slew_time_s
 
 T = TypeVar("T")
 
-TRIGGER_BOUND_S = 10.0
-"""An adapter answers or gives up long before this."""
-AFTER_REFUSAL_S = 0.5
-"""How long a camera that refused is left alone, if its interval is not shorter."""
-LATE_S = 0.5
-"""How long samples of an exposure may be on their way before they count as never sent."""
+TRIGGER_TIMEOUT_S = 10.0
+"""Longest wait for a trigger call; an adapter answers or times out long before."""
+REFUSED_TRIGGER_DELAY_S = 0.5
+"""Delay after a refused trigger, unless the camera's interval is shorter."""
+LATE_SAMPLES_S = 0.5
+"""How long to wait for delayed attitude samples of an exposure."""
 LAST_SLEEP_S = 0.05
-"""The last part of a wait, slept through without a look at samples; those before are judged by then."""
+"""The last part of a wait for the settle time, slept without reading samples; earlier ones are judged before it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,11 +46,11 @@ class NotSettled:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settled:
-    """The pose is inside tolerance and still: trigger now.
+    """The pose is settled: trigger now.
 
     Attributes:
-        commanded_s: when the pointing command went out.
-        settled_s: when everything that the trigger waits for was there.
+        commanded_s: when the pointing command was sent.
+        settled_s: when the last condition for the trigger was met.
     """
 
     commanded_s: float
@@ -62,7 +62,7 @@ class Exposure:
     """Photos taken, attitudes judged.
 
     Attributes:
-        captures: one a photo, to wait on for evidence.
+        captures: one per photo; evidence is awaited on it.
         verdict: on the attitudes from the first trigger to the end of the last exposure.
         trigger_utc_s: wall time of each trigger.
         trigger_delay_s: from settled to the first trigger on the wire.
@@ -84,12 +84,12 @@ class Exposure:
 
 @dataclass(kw_only=True)
 class Shooter:
-    """Knows how to take one photo with these devices.
+    """Takes single shots: points, waits until settled, triggers and judges the exposure.
 
     Attributes:
         reference_yaw_north_deg: direction of the plan's yaw 0 from true north.
-        open_loop: there is no attitude feedback; believe the gimbal after the slew time.
-        turner: turns the vehicle where the gimbal does not pan far enough; None: it is never turned.
+        open_loop: there is no attitude feedback; the pose is assumed after the slew time.
+        heading_controller: turns the vehicle if the gimbal cannot pan far enough; None: the vehicle never turns.
     """
 
     gimbal: Gimbal
@@ -98,7 +98,7 @@ class Shooter:
     settings: MissionSettings
     reference_yaw_north_deg: float
     open_loop: bool
-    turner: HeadingController | None = None
+    heading_controller: HeadingController | None = None
     poses: PoseReader = field(init=False)
     lag: ShutterLag = field(init=False)
     _ready_s: float = field(default=-math.inf, init=False)
@@ -117,25 +117,25 @@ class Shooter:
         clear: Callable[[], asyncio.Event | None],
         coming_yaw_deg: Sequence[float] = (),
     ) -> Settled | NotSettled:
-        """Point at a shot and return when the trigger may go out, or when patience is over.
+        """Point at a shot; return when the trigger may be sent, or at the settle timeout.
 
-        Safe to cancel at any moment.
+        Safe to cancel at any time.
 
         Args:
-            shot: where, in the plan's frame.
-            patience_s: how long settling may take beyond the expected slew and the settle time.
-            clear: None when nothing else keeps the trigger, else an event to wait for before asking again.
-            coming_yaw_deg: yaws of the shots after this one.
+            shot: the target, in the plan's frame.
+            patience_s: settle timeout beyond the expected slew and the settle time.
+            clear: returns None if nothing else blocks the trigger, else an event to await before it is called again.
+            coming_yaw_deg: yaws of the following shots.
         """
         expected_s = self._expected_slew_s(shot)
         commanded_s = self.clock.monotonic()
-        asked = "vehicle"
+        device = "vehicle"
         try:
             expected_s = max(expected_s, await self._turn([shot.yaw_deg, *coming_yaw_deg]))
-            asked = "gimbal"
+            device = "gimbal"
             await self._point(shot)
         except DeviceError as error:
-            return NotSettled(code=asked, reason=str(error))
+            return NotSettled(code=device, reason=str(error))
         if self.open_loop:
             await self.clock.sleep(1.5 * expected_s + self.settings.settle_s)
             while (blocker := clear()) is not None:
@@ -146,19 +146,21 @@ class Shooter:
             settle_s=self.settings.settle_s,
             max_rate_deg_s=self.settings.max_rate_deg_s,
             max_gap_s=self.settings.max_gap_s,
-            told_rates=not self._nose_pans,
+            use_reported_rate=not self._vehicle_pans,
         )
         target = self._target(shot)
         tracker = SettleTracker(target=target, limits=limits)
         bound_s = expected_s + self.settings.settle_s + patience_s
-        wait = _Wait(
+        wait = _SettleWait(
             tracker=tracker,
             commanded_s=commanded_s,
             bound_s=bound_s,
             deadline_s=commanded_s + bound_s,
             newest_s=commanded_s,
         )
-        done, settled_s = await until(self._overdue(wait), self._follow(wait, clear), f"settle shot {shot.index}")
+        done, settled_s = await until(
+            self._timed_out(wait), self._await_settled(wait, clear), f"settle shot {shot.index}"
+        )
         if done and settled_s is not None:
             return Settled(commanded_s=commanded_s, settled_s=settled_s)
         self._read(wait)
@@ -166,22 +168,22 @@ class Shooter:
         if tracker.is_stale(self.clock.monotonic()):
             why = "the gimbal's attitude stream is silent"
         elif not why:
-            why = "inside tolerance, but never for the whole settle time"
+            why = "inside tolerance, but not for the whole settle time"
         return NotSettled(code="not_settled", reason=f"not settled after {bound_s:.1f} s: {why}")
 
     async def expose(self, shot: Shot, settled: Settled, *, interrupt: asyncio.Event) -> Exposure | NotSettled:
-        """Trigger and judge; returns when the exposure has ended. Must not be cancelled half-way but at a hard stop.
+        """Trigger and judge; returns when the exposure has ended. Cancel it only for an immediate stop.
 
         Args:
-            shot: where the camera looks.
-            settled: since when.
-            interrupt: when it is set, no further photo of a bracket is taken.
+            shot: the target.
+            settled: the result of `approach`.
+            interrupt: while it is set, no further photo of a bracket is taken.
         """
         captures: list[PendingCapture] = []
         stamps: list[float] = []
         failure, broken_off = "", False
         end_s = 0.0
-        images_before = self.camera.image_count if isinstance(self.camera, PhotoMemory) else -1
+        images_before = self.camera.image_count if isinstance(self.camera, PhotoRecall) else -1
         for number in range(1, self.settings.brackets + 1):
             if number > 1:
                 left = self.clock.sleep(self._interval_left_s())
@@ -189,13 +191,13 @@ class Shooter:
                 if broken_off := interrupt.is_set():
                     break
             try:
-                capture = await within(self.clock, TRIGGER_BOUND_S, self.camera.trigger(), f"trigger {shot.index}")
+                capture = await within(self.clock, TRIGGER_TIMEOUT_S, self.camera.trigger(), f"trigger {shot.index}")
             except (DeviceError, TimeoutError) as error:
                 failure = f"photo {number} of {self.settings.brackets}: {error}"
-                self._ready_s = self.clock.monotonic() + min(self.settings.interval_s, AFTER_REFUSAL_S)
+                self._ready_s = self.clock.monotonic() + min(self.settings.interval_s, REFUSED_TRIGGER_DELAY_S)
                 break
-            # from the answer on, as the camera got the command before that: it counts its interval from then. Where
-            # none comes, as over a cable, from the end of the command
+            # the camera's interval starts when it receives the command, at the latest when it answers; without an
+            # acknowledgement (shutter cable) at the end of the command
             answered_s = capture.acknowledged_s
             now_s = self.clock.monotonic()
             self._ready_s = (now_s if math.isnan(answered_s) else answered_s) + self.settings.interval_s
@@ -216,9 +218,9 @@ class Shooter:
         )
 
     async def _exposure_end(self, capture: PendingCapture) -> float:
-        """Return when the exposure has ended, and when that was: proven by the camera, else bounded by its latency.
+        """Wait for the end of the exposure and return its time: reported by the camera, else the upper bound.
 
-        A camera reports a photo after its shutter closed; a feedback pin tells when it opened.
+        A camera reports a photo after its shutter closed; a feedback pin signals that it opened.
         """
         bound_s = self.lag.bound_s + self.settings.exposure_s
         latest_s = capture.commanded_s + bound_s
@@ -255,12 +257,14 @@ class Shooter:
         return Target(pitch_deg=shot.pitch_deg, yaw_deg=shot.yaw_deg, tolerance=self.settings.tolerance)
 
     async def _judged(self, shot: Shot, start_s: float, end_s: float) -> WindowVerdict:
-        """The verdict on an exposure; what proves it may still be on its way on a busy computer."""
+        """The verdict on an exposure; waits briefly for samples that are delayed on a busy computer."""
         verdict = self._judge(shot, start_s, end_s)
         if verdict.code != "no_samples":
             return verdict
         with suppress(TimeoutError):
-            await within(self.clock, LATE_S, self.gimbal.feed.newer_than(end_s), f"samples of shot {shot.index}")
+            await within(
+                self.clock, LATE_SAMPLES_S, self.gimbal.feed.newer_than(end_s), f"samples of shot {shot.index}"
+            )
         return self._judge(shot, start_s, end_s)
 
     def _judge(self, shot: Shot, start_s: float, end_s: float) -> WindowVerdict:
@@ -271,21 +275,21 @@ class Shooter:
         return judge_window(readings, target=self._target(shot), start_s=start_s, end_s=end_s, max_gap_s=gap)
 
     @property
-    def _nose_pans(self) -> bool:
-        """Whether the camera looks where the vehicle's nose does."""
-        return self.turner is not None and not gimbal_limits(self.gimbal, self.settings).pans
+    def _vehicle_pans(self) -> bool:
+        """Whether the vehicle's heading sets the camera's yaw: the gimbal has no pan axis in use."""
+        return self.heading_controller is not None and not gimbal_limits(self.gimbal, self.settings).pans
 
     async def _turn(self, yaws_deg: Sequence[float]) -> float:
-        """Have the vehicle turned, where it pans; the seconds that this is expected to take."""
-        turner = self.turner
-        if turner is None:
+        """Turn the vehicle if needed; returns the expected duration, seconds."""
+        heading_controller = self.heading_controller
+        if heading_controller is None:
             return 0.0
         yaws = [to_north(yaw, self.reference_yaw_north_deg) for yaw in yaws_deg]
         limits = gimbal_limits(self.gimbal, self.settings)
-        return await self._insist(lambda: turner.begin(yaws, limits))
+        return await self._with_retries(lambda: heading_controller.begin(yaws, limits))
 
-    async def _insist(self, command: Callable[[], Awaitable[T]]) -> T:
-        """The result of a command that a device may refuse for the moment."""
+    async def _with_retries(self, command: Callable[[], Awaitable[T]]) -> T:
+        """The result of a command; repeats it `device_tries` times while the device refuses it."""
         for _ in range(1, self.settings.device_tries):
             try:
                 return await command()
@@ -294,8 +298,8 @@ class Shooter:
         return await command()
 
     async def _point(self, shot: Shot) -> None:
-        yaw_north = None if self._nose_pans else to_north(shot.yaw_deg, self.reference_yaw_north_deg)
-        await self._insist(lambda: self.gimbal.point(shot.pitch_deg, yaw_north))
+        yaw_north = None if self._vehicle_pans else to_north(shot.yaw_deg, self.reference_yaw_north_deg)
+        await self._with_retries(lambda: self.gimbal.point(shot.pitch_deg, yaw_north))
         self._pointed = (shot.pitch_deg, shot.yaw_deg)
 
     def _expected_slew_s(self, shot: Shot) -> float:
@@ -320,53 +324,58 @@ class Shooter:
     def _interval_left_s(self) -> float:
         return max(0.0, self._ready_s - self.clock.monotonic())
 
-    async def _follow(self, wait: _Wait, clear: Callable[[], asyncio.Event | None]) -> float:
-        """Feed the tracker until the trigger may go out; returns when the last condition for it came true.
+    async def _await_settled(self, wait: _SettleWait, clear: Callable[[], asyncio.Event | None]) -> float:
+        """Feed the tracker until the trigger may be sent; returns when its last condition was met.
 
-        Nothing is settled before the settle time is over since the newest sample that was not. Until then samples
-        gather and are judged all at once: to wake up for each would cost more than all the rest of the slew.
+        The pose cannot be settled before the settle time has passed since the newest sample out of tolerance. Until
+        then samples are collected and judged in one batch: waking up for each sample would dominate the CPU time of
+        the slew.
         """
         tracker, free_s = wait.tracker, wait.commanded_s
-        nose = self.turner if self._nose_pans else None
-        rests_at_s = -math.inf if self.turner is None else self.turner.rests_at_s
+        heading_controller = self.heading_controller if self._vehicle_pans else None
+        turn_ends_at_s = -math.inf if self.heading_controller is None else self.heading_controller.turn_ends_at_s
         while True:
-            await asyncio.sleep(0)  # a machine that cannot keep up with the samples must still hear everybody else
-            self._read(wait, nose)
+            await asyncio.sleep(0)  # let other tasks run even if samples arrive faster than they are read
+            self._read(wait, heading_controller)
             now_s = self.clock.monotonic()
-            if nose is not None and math.isnan(tracker.inside_since_s) and nose.is_off(now_s):
-                await nose.correct()
+            if (
+                heading_controller is not None
+                and math.isnan(tracker.inside_since_s)
+                and heading_controller.is_off(now_s)
+            ):
+                await heading_controller.correct()
             if not tracker.is_settled(now_s):
-                await self._gather(wait, now_s, every_sample=nose is not None)
+                await self._await_samples(wait, now_s, every_sample=heading_controller is not None)
                 continue
-            blocker, left_s = clear(), max(self._interval_left_s(), rests_at_s - self.clock.monotonic())
+            blocker, left_s = clear(), max(self._interval_left_s(), turn_ends_at_s - self.clock.monotonic())
             if blocker is None and left_s <= 0:
                 return max(tracker.settled_at_s, free_s)
-            wait.for_its_turn = True
+            wait.trigger_held = True
             if blocker is not None:
                 await blocker.wait()
                 free_s = self.clock.monotonic()
             else:
                 await self._sleep_most_of(left_s)
                 free_s = self._ready_s
-            wait.for_its_turn = False
+            wait.trigger_held = False
             wait.deadline_s = max(wait.deadline_s, free_s + wait.bound_s)
 
-    def _read(self, wait: _Wait, nose: HeadingController | None = None) -> None:
-        """Feed the tracker with what has come."""
+    def _read(self, wait: _SettleWait, heading_controller: HeadingController | None = None) -> None:
+        """Feed the tracker with the new samples."""
         readings = self.poses.since(wait.newest_s)
         if not readings:
             return
         wait.newest_s = readings[-1].time_s
-        if nose is None:
+        if heading_controller is None:
             wait.tracker.add(*readings)
             return
         for reading in readings:
             wait.tracker.add(reading)
             if wait.tracker.error is not None:
-                nose.note(reading.time_s, float(wait.tracker.error.yaw_deg))
+                heading_controller.note(reading.time_s, float(wait.tracker.error.yaw_deg))
 
-    async def _gather(self, wait: _Wait, now_s: float, *, every_sample: bool) -> None:
-        """Return when the pose may be settled, or with the next sample, if it could be at any moment."""
+    async def _await_samples(self, wait: _SettleWait, now_s: float, *, every_sample: bool) -> None:
+        """Return at the earliest time at which the pose can be settled, or with the next sample if that is near."""
         settled_at_s = wait.tracker.settled_at_s
         if math.isnan(settled_at_s):
             settled_at_s = wait.newest_s + self.settings.settle_s
@@ -377,25 +386,25 @@ class Shooter:
             await self.gimbal.feed.newer_than(wait.newest_s)
 
     async def _sleep_most_of(self, left_s: float) -> None:
-        """Return a little earlier, or at the end: what has gathered is judged before the moment that counts."""
+        """Sleep until `LAST_SLEEP_S` before the end, or to the end, so that collected samples are judged in time."""
         await self.clock.sleep(left_s - LAST_SLEEP_S if left_s > LAST_SLEEP_S else left_s)
 
-    async def _overdue(self, wait: _Wait) -> None:
-        """Return when patience is over; a pose that is settled and only waits for its turn has all the time."""
+    async def _timed_out(self, wait: _SettleWait) -> None:
+        """Return at the settle timeout; it does not apply while the pose is settled and the trigger is held."""
         while True:
             await self.clock.sleep(max(wait.deadline_s - self.clock.monotonic(), 0.05))
             now = self.clock.monotonic()
-            if now >= wait.deadline_s and not wait.for_its_turn and not wait.tracker.is_settled(now):
+            if now >= wait.deadline_s and not wait.trigger_held and not wait.tracker.is_settled(now):
                 return
 
 
 @dataclass(kw_only=True)
-class _Wait:
-    """The wait for one pose to settle; what keeps the trigger for other reasons moves its deadline.
+class _SettleWait:
+    """The wait for one pose to settle; the deadline moves when the trigger is held for other reasons.
 
     Attributes:
-        newest_s: time of the newest sample that the tracker has.
-        for_its_turn: the pose was settled, and something else keeps the trigger now.
+        newest_s: time of the tracker's newest sample.
+        trigger_held: the pose was settled, but the trigger is blocked for another reason.
     """
 
     tracker: SettleTracker
@@ -403,4 +412,4 @@ class _Wait:
     bound_s: float
     deadline_s: float
     newest_s: float
-    for_its_turn: bool = False
+    trigger_held: bool = False

@@ -1,4 +1,4 @@
-"""What the parts of a running mission share: devices, wishes, record."""
+"""What the components of a running mission share: plan, settings, devices, requests and record."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from panoexec.planning.model import Plan
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionContext:
-    """One mission in the air: handed to each part by the executor."""
+    """One running mission; the executor passes it to each component."""
 
     plan: Plan
     settings: MissionSettings
@@ -29,17 +29,17 @@ class MissionContext:
     clock: Clock
     verifier: Verifier
     recorder: Recorder
-    control: MissionRequests
+    requests: MissionRequests
     queue: ShotQueue
-    pace: EtaEstimator
-    turner: HeadingController | None = None
+    eta: EtaEstimator
+    heading_controller: HeadingController | None = None
 
     @property
     def record(self) -> MissionRecord:
-        """All that is known of the mission."""
+        """The mission's record."""
         return self.recorder.record
 
     def shots_left(self) -> int:
-        """Shots that are still to be taken or to be proven."""
-        out = (ShotStatus.ACTIVE, ShotStatus.EXPOSED)
-        return len(self.queue) + sum(1 for shot in self.record.shots.values() if shot.status in out)
+        """Number of shots that are queued, being taken or awaiting evidence."""
+        in_progress = (ShotStatus.ACTIVE, ShotStatus.EXPOSED)
+        return len(self.queue) + sum(1 for shot in self.record.shots.values() if shot.status in in_progress)

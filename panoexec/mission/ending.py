@@ -1,4 +1,4 @@
-"""The end of a mission: certify the panorama as flown, patch real holes, say how it ended."""
+"""The end of a mission: certify the measured attitudes, patch holes, determine the final state."""
 
 from __future__ import annotations
 
@@ -10,39 +10,39 @@ from panoexec.planning.model import Certificate, Hole
 
 
 class Ending:
-    """Decides how a mission ends.
+    """Determines a mission's final state.
 
     Attributes:
-        certificate: of the measured attitudes, once it was computed.
+        certificate: of the measured attitudes; None before it was computed.
     """
 
-    def __init__(self, flight: MissionContext) -> None:
-        self._flight = flight
+    def __init__(self, context: MissionContext) -> None:
+        self._context = context
         self.certificate: Certificate | None = None
 
     async def finish(self) -> bool:
-        """Certify what was flown; returns False when shooting goes on (patches, a repeat), True when it is over."""
-        flight = self._flight
-        if flight.record.state is not MissionState.FINISHING:
-            reason = flight.control.finish or "nothing is left to shoot"
-            flight.recorder.emit(ev.MissionFinishing(reason=reason), MissionState.FINISHING)
-        await until(flight.control.stopping.wait(), self._certify(), "certificate")
-        if flight.control.stop is not None:
+        """Certify the measured attitudes; returns whether the mission is over (no patches, no repeat to take)."""
+        context = self._context
+        if context.record.state is not MissionState.FINISHING:
+            reason = context.requests.finish or "no shots are left"
+            context.recorder.emit(ev.MissionFinishing(reason=reason), MissionState.FINISHING)
+        await until(context.requests.stopping.wait(), self._certify(), "certificate")
+        if context.requests.stop is not None:
             return True
-        if not flight.control.must_leave and await self._patched():
+        if not context.requests.must_end_shooting and await self._patched():
             return False
-        if len(flight.queue) and not flight.control.must_leave:
-            flight.recorder.emit(ev.MissionResumed(paused_s=0.0, reason="a shot is repeated"), MissionState.CAPTURING)
+        if len(context.queue) and not context.requests.must_end_shooting:
+            context.recorder.emit(ev.MissionResumed(paused_s=0.0, reason="a shot is repeated"), MissionState.CAPTURING)
             return False
         return True
 
     def conclude(self) -> None:
         """Emit the last event of this process."""
-        flight, record, stop = self._flight, self._flight.record, self._flight.control.stop
+        context, record, stop = self._context, self._context.record, self._context.requests.stop
         if record.ended:
             return
         if stop is not None and stop.kind == "interrupt":
-            flight.recorder.emit(ev.MissionPaused(code="interrupted", reason=stop.reason), MissionState.PAUSED)
+            context.recorder.emit(ev.MissionPaused(code="interrupted", reason=stop.reason), MissionState.PAUSED)
             return
         missing = record.missing()
         certified = None if self.certificate is None else self.certificate.certified
@@ -52,7 +52,7 @@ class Ending:
         elif not missing and (hole := self._hole()) is not None:
             state = MissionState.INCOMPLETE
             reason = (
-                f"every shot was accepted, but as flown there is a hole of {hole.size_deg:.2g}° at elevation"
+                f"every shot was accepted, but the measured attitudes leave a hole of {hole.size_deg:.2g}° at elevation"
                 f" {hole.elevation_deg:.1f}°, azimuth {hole.azimuth_deg:.1f}°"
             )
         elif not missing:
@@ -62,30 +62,30 @@ class Ending:
             reason = f"{len(missing)} shots are missing, but the measured attitudes prove the panorama complete"
         else:
             state, reason = MissionState.INCOMPLETE, f"{len(missing)} of {record.shots_total} shots are missing"
-            if flight.control.finish is not None:
-                reason += f" ({flight.control.finish})"
+            if context.requests.finish is not None:
+                reason += f" ({context.requests.finish})"
         finished = ev.MissionFinished(reason=reason, accepted=record.shots_done, missing=missing, certified=certified)
-        flight.recorder.emit(finished, state)
+        context.recorder.emit(finished, state)
 
     def _hole(self) -> Hole | None:
-        """The largest hole as flown where the plan has none: drifted shots that counted by their overlaps left it."""
-        planned = self._flight.plan.certificate
+        """The largest hole of the measured attitudes if the plan has none: left by shots accepted by their overlaps."""
+        planned = self._context.plan.certificate
         if self.certificate is None or planned is None or planned.holes or not self.certificate.holes:
             return None
         return self.certificate.holes[0]
 
     async def _certify(self) -> None:
-        rotations, rows = self._flight.record.measured()
-        self.certificate = await self._flight.verifier.certify(rotations, rows) if rows else None
+        rotations, rows = self._context.record.measured()
+        self.certificate = await self._context.verifier.certify(rotations, rows) if rows else None
 
     async def _patched(self) -> bool:
-        flight, record = self._flight, self._flight.record
+        context, record = self._context, self._context.record
         holes = () if self.certificate is None else self.certificate.holes
-        if not holes or record.patch_rounds >= flight.settings.patches:
+        if not holes or record.patch_rounds >= context.settings.patches:
             return False
-        # what was left out by decision is no hole to be patched
+        # a skipped shot leaves no hole to patch
         rotations, rows = record.measured(also=record.skipped())
-        _, shots = await until(flight.control.stopping.wait(), flight.verifier.patch(rotations, rows), "patches")
+        _, shots = await until(context.requests.stopping.wait(), context.verifier.patch(rotations, rows), "patches")
         if not shots:
             return False
         patches = record.renumbered(shots)
@@ -97,7 +97,7 @@ class Ending:
             holes=len(holes),
             largest_hole_deg=holes[0].size_deg,
         )
-        flight.recorder.emit(planned, MissionState.CAPTURING)
+        context.recorder.emit(planned, MissionState.CAPTURING)
         for shot in patches:
-            flight.queue.add(shot.index)
+            context.queue.add(shot.index)
         return True

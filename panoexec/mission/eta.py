@@ -1,4 +1,4 @@
-"""How long the rest of a mission will take, learned while flying."""
+"""Estimate of a mission's remaining time, updated while it runs."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import math
 
 
 class EtaEstimator:
-    """Learns the seconds a shot costs while flying, and estimates the rest.
+    """Measures the seconds per shot and estimates the remaining time.
 
-    The first guess comes from the plan; each accepted shot then pulls the estimate by `weight` (an exponentially
-    weighted mean, so that a change of wind or light is followed within a few shots).
+    The initial value comes from the plan; each accepted shot updates an exponentially weighted mean with `weight`, so
+    that the estimate follows a change of wind within a few shots.
     """
 
     def __init__(self, *, expected_shot_s: float, weight: float = 0.1) -> None:
@@ -20,11 +20,11 @@ class EtaEstimator:
 
     @property
     def shot_s(self) -> float:
-        """Seconds a shot costs now, retakes included."""
+        """Estimated seconds per shot, including retakes."""
         return self._shot_s
 
     def restart(self, now_s: float) -> None:
-        """Shooting begins, or goes on after a pause."""
+        """Shooting begins or continues after a pause; the time before does not count."""
         self._last_s = now_s
 
     def accepted(self, now_s: float) -> None:
@@ -36,5 +36,5 @@ class EtaEstimator:
         self._last_s = now_s
 
     def eta_s(self, shots_left: int) -> float:
-        """Seconds until that many shots are taken."""
+        """Estimated seconds for that many shots."""
         return shots_left * self._shot_s

@@ -1,4 +1,4 @@
-"""From what a camera proves to what a mission records of a photo."""
+"""Evidence from the camera, and what a mission records of a photo."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from panoexec.mission.log.events import Photo
 
 
 def first_photos(trigger_utc_s: Sequence[float], captures: Sequence[PendingCapture]) -> tuple[Photo, ...]:
-    """Photos of which nothing is known but that their trigger went out, and was acknowledged by whoever can do that."""
+    """Photos of which only the trigger is known: sent, and acknowledged where the camera acknowledges triggers."""
     return tuple(
         Photo(
             number=number,
@@ -24,7 +24,7 @@ def first_photos(trigger_utc_s: Sequence[float], captures: Sequence[PendingCaptu
 
 
 def with_evidence(photo: Photo, found: CaptureEvidence) -> Photo:
-    """The photo with better proof; what the proof does not tell stays as it was."""
+    """The photo with better evidence; fields that the evidence lacks are kept."""
     if found.level < photo.evidence:
         return photo
     return replace(
@@ -43,18 +43,18 @@ def with_evidence(photo: Photo, found: CaptureEvidence) -> Photo:
 async def gather(
     photos: Sequence[Photo], captures: Sequence[PendingCapture], *, at_least: EvidenceLevel, timeout_s: float
 ) -> tuple[Photo, ...]:
-    """Wait for proof of each photo, `timeout_s` from its trigger at most."""
+    """Await evidence of each photo, at most `timeout_s` from its trigger."""
     out = []
     for photo, capture in zip(photos, captures, strict=True):
         try:
             found = await capture.evidence(at_least, timeout_s)
         except DeviceError:
-            out.append(photo)  # nothing more will be known; the verdict follows from the level
+            out.append(photo)  # no more evidence will arrive; the verdict follows from the level reached
         else:
             out.append(with_evidence(photo, found))
     return tuple(out)
 
 
 def weakest(photos: Sequence[Photo]) -> EvidenceLevel:
-    """The weakest evidence among photos."""
+    """The lowest evidence level among the photos."""
     return min(photo.evidence for photo in photos)

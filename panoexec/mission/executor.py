@@ -1,4 +1,4 @@
-"""The mission: every shot proven or the reason why not, and nothing lost whatever happens."""
+"""The mission executor: runs the phases of a mission and records every event before it is published."""
 
 from __future__ import annotations
 
@@ -26,40 +26,40 @@ from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.preflight import battery_warning, preflight_problems
 from panoexec.mission.protocols import Journal, Verifier
 from panoexec.mission.recovery import settle_open_attempts
-from panoexec.mission.reference_frame import anchor, tell_if_moved
+from panoexec.mission.reference_frame import update_reference_frame, warn_if_moved
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.shooting import Shooting
 from panoexec.mission.shot_queue import ShotQueue
-from panoexec.mission.waiting import first_failure, unbroken, until
+from panoexec.mission.waiting import first_failure, uncancelled, until
 from panoexec.planning.model import Certificate, Plan
 
 PREFLIGHT_S = 5.0
-"""How long preflight waits for problems to go away by themselves (a stream that has just been asked for)."""
+"""How long preflight retries failed checks (a stream that was just requested needs time to start)."""
 DONE = frozenset({ShotStatus.ACCEPTED, ShotStatus.SKIPPED})
 
 
 class Mission:
-    """One mission from its start (or its resumption) to its end, in this process.
+    """One mission from its start (or resumption) to its end in this process.
 
-    `run` flies it; `verbs` may be used from other tasks of the same event loop meanwhile. Everything that happens goes
-    through the recorder: durable in the journal first, then announced to the sink.
+    `run` executes it; other tasks of the same event loop may call `commands` meanwhile. Every event passes the
+    recorder: it is written to the journal first, then published to the sink.
 
     Args:
-        mission_id: names it for ever.
+        mission_id: the mission's unique identifier.
         plan: camera, constraints and shots.
-        settings: how to fly it.
+        settings: tolerances, timing, retries and guards.
         gimbal, camera, vehicle: the devices.
-        clock: the mission's time.
-        journal: keeps the events.
-        sink: gets the events once they are kept.
-        verifier: computes certificates beside the event loop.
-        reference: what the plan's yaw 0 means: true north, or the vehicle's heading at the start.
-        past: events of this mission from an earlier process, to go on from.
-        guards: watch the flight; None: those that the settings ask for.
+        clock: the mission's clock.
+        journal: stores the events durably.
+        sink: receives each event after it was stored.
+        verifier: computes certificates outside the event loop.
+        reference: direction of the plan's yaw 0: true north, or the vehicle's heading at the start.
+        past: events of this mission from an earlier process, to resume from.
+        guards: the guards to evaluate; None: those that the settings enable.
 
     Raises:
         MissionError: the mission is finished and cannot be resumed.
-        ValueError: the past contradicts itself (a damaged journal).
+        ValueError: the past events are inconsistent (a damaged journal).
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Mission:
             raise MissionError(f"mission {mission_id} is {record.state} and cannot be resumed: {record.reason}")
         again = record.asked.repeats
         todo = [index for index, shot in sorted(record.shots.items()) if shot.status not in DONE or index in again]
-        self._flight = MissionContext(
+        self._context = MissionContext(
             plan=plan,
             settings=settings,
             gimbal=gimbal,
@@ -93,116 +93,117 @@ class Mission:
             clock=clock,
             verifier=verifier,
             recorder=Recorder(record=record, journal=journal, sink=sink, clock=clock),
-            control=MissionRequests(),
+            requests=MissionRequests(),
             queue=ShotQueue(todo, attempts=settings.attempts, rounds=settings.rounds),
-            pace=EtaEstimator(expected_shot_s=_expected_shot_s(plan, settings)),
-            turner=_turner(vehicle, clock, settings),
+            eta=EtaEstimator(expected_shot_s=_expected_shot_s(plan, settings)),
+            heading_controller=_heading_controller(vehicle, clock, settings),
         )
         self._resumed = bool(past)
         self._reference = reference
-        self._holding = GuardMonitor(self._flight, flight_guards(settings) if guards is None else guards)
-        self._ending = Ending(self._flight)
+        self._guard_monitor = GuardMonitor(self._context, flight_guards(settings) if guards is None else guards)
+        self._ending = Ending(self._context)
         self._shooting: Shooting | None = None
-        self._began = False
-        self.verbs = OperatorCommands(self._flight)
+        self._run_called = False
+        self.commands = OperatorCommands(self._context)
 
     @property
     def record(self) -> MissionRecord:
-        """All that is known of the mission; read only."""
-        return self._flight.record
+        """The mission's record; read only."""
+        return self._context.record
 
     @property
     def plan(self) -> Plan:
-        """What is flown."""
-        return self._flight.plan
+        """The plan of this mission."""
+        return self._context.plan
 
     @property
     def certificate(self) -> Certificate | None:
-        """Of the measured attitudes; None before the end."""
+        """The certificate of the measured attitudes; None before it was computed."""
         return self._ending.certificate
 
     @property
     def eta_s(self) -> float:
-        """Seconds until shooting is over, as learned so far."""
-        return self._flight.pace.eta_s(self._flight.shots_left())
+        """Estimated seconds until the last shot."""
+        return self._context.eta.eta_s(self._context.shots_left())
 
     @property
     def shot_s(self) -> float:
-        """Seconds a shot costs, as learned so far."""
-        return self._flight.pace.shot_s
+        """Estimated seconds per shot."""
+        return self._context.eta.shot_s
 
     @property
     def shooting_s(self) -> float:
-        """Seconds from the first slew of this process to the last verdict, pauses included; NaN before the end."""
+        """Seconds from the first slew in this process to the last verdict, including pauses; NaN before the end."""
         return math.nan if self._shooting is None else self._shooting.ended_s - self._shooting.began_s
 
     @property
     def turns(self) -> int:
-        """How often this process has had the vehicle turned."""
-        return 0 if self._flight.turner is None else self._flight.turner.turns
+        """How often this process commanded the vehicle to turn."""
+        return 0 if self._context.heading_controller is None else self._context.heading_controller.turns
 
     @property
     def shooter(self) -> Shooter | None:
-        """The part that points and triggers, for a look at the live pointing error; None before the start."""
+        """The component that points and triggers, to read the live pointing error; None before the start."""
         return None if self._shooting is None else self._shooting.shooter
 
     async def durable(self) -> None:
-        """Return when everything that happened so far is on disk and announced."""
-        await self._flight.recorder.durable()
+        """Return when all events so far are on disk and published."""
+        await self._context.recorder.durable()
 
     async def run(self) -> MissionRecord:
-        """Fly the mission; returns at its end, whatever that is. Once only.
+        """Execute the mission and return its record when it ends, in whatever state. May be called only once.
 
-        Cancelling it stops at once and leaves a mission that can be resumed; `verbs.interrupt` does so after the photo.
+        Cancellation stops the mission at once and leaves it resumable; `commands.interrupt` does so after the current
+        photo.
 
         Raises:
-            MissionError: the journal failed; the gimbal was released all the same.
+            MissionError: the journal failed (the gimbal was still released), or `run` was called before.
         """
-        if self._began:
-            raise MissionError("a mission runs once; resume it from its journal")
-        self._began = True
-        recorder = self._flight.recorder
+        if self._run_called:
+            raise MissionError("run() was called before; resume the mission from its journal")
+        self._run_called = True
+        recorder = self._context.recorder
         try:
             async with asyncio.TaskGroup() as group:
                 writing = group.create_task(recorder.run(), name="mission recorder")
                 try:
-                    await self._fly()
+                    await self._run_guarded()
                 finally:
                     recorder.close()
-                    await unbroken(writing)
+                    await uncancelled(writing)
         except BaseExceptionGroup as failures:
             raise first_failure(failures) from None
         return self.record
 
-    async def _fly(self) -> None:
-        control = self._flight.control
+    async def _run_guarded(self) -> None:
+        requests = self._context.requests
         planned_end = False
         try:
             self._start()
             async with asyncio.TaskGroup() as group:
-                watching = group.create_task(self._holding.watch(), name="mission guards")
-                await self._course(group)
-                control.over = True
-                await self._holding.release()
+                watching = group.create_task(self._guard_monitor.watch(), name="mission guards")
+                await self._run_phases(group)
+                requests.over = True
+                await self._guard_monitor.release()
                 watching.cancel()
             planned_end = True
         except asyncio.CancelledError:
-            control.ask_stop(Stop("interrupt", "panoexec was stopped at once; the mission can be resumed"))
+            requests.request_stop(Stop("interrupt", "panoexec was stopped at once; the mission can be resumed"))
             raise
         finally:
-            if not planned_end and control.stop is None:
-                control.ask_stop(Stop("fail", "panoexec met an error of its own; the mission can be resumed"))
+            if not planned_end and requests.stop is None:
+                requests.request_stop(Stop("fail", "internal error in panoexec; the mission can be resumed"))
             try:
-                await unbroken(asyncio.create_task(self._holding.release(), name="release the gimbal"))
+                await uncancelled(asyncio.create_task(self._guard_monitor.release(), name="release the gimbal"))
             finally:
                 self._ending.conclude()
 
     def _start(self) -> None:
-        flight, record = self._flight, self._flight.record
-        status = flight.vehicle.status
+        context, record = self._context, self._context.record
+        status = context.vehicle.status
         kind = record.reference if self._resumed else self._reference
         reference = record.reference_yaw_north_deg
-        if math.isnan(reference):  # of a new mission, or one that never knew it and so took no photo
+        if math.isnan(reference):  # a new mission, or one that took no photo because the heading was unknown
             reference = status.heading_deg if kind == "heading" else 0.0
         started = ev.MissionStarted(
             shots_total=record.shots_total,
@@ -213,89 +214,90 @@ class Mission:
             longitude_deg=status.longitude_deg,
             altitude_m=status.altitude_m,
         )
-        flight.recorder.emit(started, MissionState.PREFLIGHT)
+        context.recorder.emit(started, MissionState.PREFLIGHT)
         if self._resumed:
-            tell_if_moved(flight)
-        if flight.settings.feedback == "none":
-            text = "no attitude feedback: poses are believed, not proven (open loop)"
-            flight.recorder.emit(ev.Warned(code="open_loop", text=text))
+            warn_if_moved(context)
+        if context.settings.feedback == "none":
+            text = "no attitude feedback: poses are assumed, not measured (open loop)"
+            context.recorder.emit(ev.Warned(code="open_loop", text=text))
 
-    async def _course(self, group: asyncio.TaskGroup) -> None:
-        """Preflight, shooting, finishing; returns when the mission is over or must end."""
-        flight = self._flight
+    async def _run_phases(self, group: asyncio.TaskGroup) -> None:
+        """Run preflight, shooting and finishing; return when the mission has ended or must stop."""
+        context = self._context
         if self._resumed:
-            self._take_up_commands()
-            await settle_open_attempts(flight)
-            self._leave_out()
+            self._restore_commands()
+            await settle_open_attempts(context)
+            self._skip_shots()
         checked = False
-        while flight.control.stop is None:
-            if len(flight.queue) and not checked and not flight.control.must_leave:  # also patches of a resumed one
-                checked, _ = await until(flight.control.leaving.wait(), self._preflight(), "preflight")
-            if self._shooting is None:  # now that the direction of yaw 0 is known
-                self._shooting = Shooting(flight, self._holding, group)
-            if not flight.control.must_leave:
+        while context.requests.stop is None:
+            # patches of a resumed mission need a preflight, too
+            if len(context.queue) and not checked and not context.requests.must_end_shooting:
+                checked, _ = await until(context.requests.leaving.wait(), self._preflight(), "preflight")
+            if self._shooting is None:  # not earlier: it needs the direction of yaw 0
+                self._shooting = Shooting(context, self._guard_monitor, group)
+            if not context.requests.must_end_shooting:
                 await self._shooting.run()
             await self._shooting.evidence_in()
-            if flight.control.stop is not None or await self._ending.finish():
+            if context.requests.stop is not None or await self._ending.finish():
                 return
 
-    def _take_up_commands(self) -> None:
-        """Go on to obey what the earlier process was told, and answered for, but did not come to do."""
-        asked, control = self._flight.record.asked, self._flight.control
+    def _restore_commands(self) -> None:
+        """Restore commands that an earlier process acknowledged but did not carry out."""
+        asked, requests = self._context.record.asked, self._context.requests
         if asked.end == "abort":
-            control.ask_stop(Stop("abort", asked.reason or "aborted by command"))
+            requests.request_stop(Stop("abort", asked.reason or "aborted by command"))
         elif asked.end:
-            control.ask_finish(asked.reason or "finished by command, the gaps are accepted")
+            requests.request_finish(asked.reason or "finished by command, the gaps are accepted")
 
-    def _leave_out(self) -> None:
-        """Shots that were to be skipped, unless their photo counts after all."""
-        flight = self._flight
-        for index in sorted(flight.record.asked.skips):
-            shot = flight.record.shots[index]
+    def _skip_shots(self) -> None:
+        """Skip the shots of pending skip commands, unless their photo was accepted meanwhile."""
+        context = self._context
+        for index in sorted(context.record.asked.skips):
+            shot = context.record.shots[index]
             if shot.accepted is None and shot.open_attempt is None:
-                flight.queue.drop(index)
+                context.queue.drop(index)
                 skipped = ev.ShotSkipped(shot=index, attempt=len(shot.attempts), reason="skipped by command")
-                flight.recorder.emit(skipped)
+                context.recorder.emit(skipped)
 
     async def _preflight(self) -> None:
-        flight = self._flight
+        context = self._context
         problems = self._problems()
-        deadline = flight.clock.monotonic() + PREFLIGHT_S
-        while problems and flight.clock.monotonic() < deadline:
-            await flight.clock.sleep(0.25)
+        deadline = context.clock.monotonic() + PREFLIGHT_S
+        while problems and context.clock.monotonic() < deadline:
+            await context.clock.sleep(0.25)
             problems = self._problems()
-        if not problems and not await self._holding.acquire():
-            problems = [hold.finding.reason for hold in flight.control.holds.values()]
+        if not problems and not await self._guard_monitor.acquire():
+            problems = [hold.finding.reason for hold in context.requests.holds.values()]
         if problems:
-            flight.recorder.emit(ev.PreflightFailed(problems=tuple(problems)))
-            flight.control.ask_stop(Stop("fail", "; ".join(problems)))
+            context.recorder.emit(ev.PreflightFailed(problems=tuple(problems)))
+            context.requests.request_stop(Stop("fail", "; ".join(problems)))
             return
-        warning = battery_warning(flight.vehicle.status.battery_frac, flight.settings.guards, expected_s=self.eta_s)
+        warning = battery_warning(context.vehicle.status.battery_frac, context.settings.guards, expected_s=self.eta_s)
         if warning:
-            flight.recorder.emit(ev.Warned(code="battery_estimate", text=warning))
-        flight.recorder.emit(ev.PreflightPassed(), MissionState.CAPTURING)
-        flight.pace.restart(flight.clock.monotonic())
+            context.recorder.emit(ev.Warned(code="battery_estimate", text=warning))
+        context.recorder.emit(ev.PreflightPassed(), MissionState.CAPTURING)
+        context.eta.restart(context.clock.monotonic())
 
     def _problems(self) -> list[str]:
-        flight = self._flight
-        anchor(flight)
-        shots = [record.shot for record in flight.record.shots.values() if record.shot.index in flight.queue]
-        reference = flight.record.reference_yaw_north_deg
+        context = self._context
+        update_reference_frame(context)
+        shots = [record.shot for record in context.record.shots.values() if record.shot.index in context.queue]
+        reference = context.record.reference_yaw_north_deg
         if math.isnan(reference):
-            return ["the vehicle's heading is unknown, and the panorama is to start from it"]
+            return ["the vehicle's heading is unknown, but the panorama is to start from it (reference = heading)"]
         return preflight_problems(
             shots=shots,
-            settings=flight.settings,
-            gimbal=flight.gimbal,
-            camera=flight.camera,
-            vehicle=flight.vehicle,
+            settings=context.settings,
+            gimbal=context.gimbal,
+            camera=context.camera,
+            vehicle=context.vehicle,
             reference_yaw_north_deg=reference,
-            now_s=flight.clock.monotonic(),
+            now_s=context.clock.monotonic(),
             expected_s=self.eta_s,
         )
 
 
-def _turner(vehicle: Vehicle, clock: Clock, settings: MissionSettings) -> HeadingController | None:
+def _heading_controller(vehicle: Vehicle, clock: Clock, settings: MissionSettings) -> HeadingController | None:
     turning = settings.gimbal.turning
     if turning is None:
         return None
@@ -305,7 +307,7 @@ def _turner(vehicle: Vehicle, clock: Clock, settings: MissionSettings) -> Headin
 
 
 def _expected_shot_s(plan: Plan, settings: MissionSettings) -> float:
-    """A first guess of the seconds a shot costs."""
+    """The initial estimate of the seconds per shot."""
     least = max(settings.interval_s, settings.settle_s + settings.exposure_bound_s)
     if plan.estimate is None or not plan.shots:
         return least + 1.0

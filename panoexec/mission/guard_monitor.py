@@ -1,4 +1,4 @@
-"""Watching the guards, holding while something is wrong, and who has the gimbal."""
+"""Evaluates the guards, holds the mission while one has a finding, and acquires and releases the gimbal."""
 
 from __future__ import annotations
 
@@ -11,41 +11,41 @@ from panoexec.mission.guards import Finding, Guard, Situation, reasons
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.mission_requests import Stop
-from panoexec.mission.reference_frame import anchor
+from panoexec.mission.reference_frame import update_reference_frame
 from panoexec.mission.waiting import until, within
 
 WATCH_S = 0.1
-"""How often the guards look."""
+"""Period of the guards."""
 TICK_S = 0.5
-"""How often a held mission looks at itself when nothing wakes it."""
+"""Period at which a held mission checks its holds when nothing wakes it."""
 RECLAIM_EVERY_S = 3.0
 
 
 class GuardMonitor:
-    """Keeps a mission from shooting while it must not, and owns the gimbal's control."""
+    """Pauses the mission while a guard has a finding, and owns the gimbal's control."""
 
-    def __init__(self, flight: MissionContext, guards: tuple[Guard, ...]) -> None:
-        self._flight = flight
+    def __init__(self, context: MissionContext, guards: tuple[Guard, ...]) -> None:
+        self._context = context
         self._guards = guards
-        # a process that was killed may have left the gimbal in our hands: its manager knows us by our component. It is
-        # asked too, until this process did something itself: the last one may have died before the journal knew
-        self._touched = flight.record.gimbal_held or flight.record.gimbal_left
+        # A killed process may have left the gimbal under our control: the manager identifies us by component id. The
+        # journal may not have recorded it, so the manager's status also counts until this process acquires or releases.
+        self._touched = context.record.gimbal_held or context.record.gimbal_left
         self._asks_manager = True
         self._taking = False
-        self._boots = flight.vehicle.status.boot_count
+        self._boots = context.vehicle.status.boot_count
 
     async def watch(self) -> None:
-        """Look at the guards for as long as the mission shoots or holds; runs until cancelled."""
+        """Evaluate the guards while the mission is capturing or paused; runs until cancelled."""
         while True:
-            if self._flight.record.state in {MissionState.CAPTURING, MissionState.PAUSED}:
+            if self._context.record.state in {MissionState.CAPTURING, MissionState.PAUSED}:
                 self.look()
-            await self._flight.clock.sleep(WATCH_S)
+            await self._context.clock.sleep(WATCH_S)
 
     def look(self) -> None:
-        """Turn findings into holds, and let holds go whose cause is gone."""
-        flight = self._flight
-        now = flight.clock.monotonic()
-        status = flight.vehicle.status
+        """Turn findings into holds, and remove holds whose cause is gone."""
+        context = self._context
+        now = context.clock.monotonic()
+        status = context.vehicle.status
         if status.boot_count != self._boots:
             self._boots = status.boot_count
             flight.recorder.emit(ev.Warned(code="reboot", text="the autopilot has rebooted"))
@@ -56,95 +56,95 @@ class GuardMonitor:
             now_s=now,
             vehicle=status,
             sample_age_s=math.inf if sample is None else now - sample.received_s,
-            in_control=flight.gimbal.in_control,
-            # not while it is being taken or given back
-            expects_control=flight.record.gimbal_held and self._touched and not self._taking,
-            unclaimed=flight.gimbal.controlled_by == (0, 0),
-            origin=flight.record.origin,
-            storage_free_images=flight.camera.storage_free_images,
-            holding=frozenset(flight.control.holds),
-            turn_modes=None if flight.turner is None else flight.turner.modes,
+            in_control=context.gimbal.in_control,
+            # not while it is being acquired or released
+            expects_control=context.record.gimbal_held and self._touched and not self._taking,
+            unclaimed=context.gimbal.controlled_by == (0, 0),
+            origin=context.record.origin,
+            storage_free_images=context.camera.storage_free_images,
+            holding=frozenset(context.requests.holds),
+            turn_modes=None if context.heading_controller is None else context.heading_controller.modes,
         )
         found = {f.code: f for guard in self._guards if (f := guard.check(situation)) is not None}
         for finding in found.values():
-            flight.control.hold(finding)
-        for code in set(flight.control.holds) - set(found) - {"command"}:
-            flight.control.clear(code, now_s=now, clear_s=flight.settings.guards.clear_s)
+            context.requests.hold(finding)
+        for code in set(context.requests.holds) - set(found) - {"command"}:
+            context.requests.clear(code, now_s=now, clear_s=context.settings.guards.clear_s)
 
     async def hold(self) -> None:
-        """Hold until nothing holds the mission any more (then it is capturing), or it must leave."""
-        flight, control = self._flight, self._flight.control
-        began = asked = flight.clock.monotonic()
+        """Hold until no hold is left (the mission is then capturing) or shooting must end."""
+        context, requests = self._context, self._context.requests
+        began = reclaimed = context.clock.monotonic()
         announced: tuple[str, ...] = ()
-        while not control.must_leave:
-            control.settled()
-            if not control.holds:
+        while not requests.must_end_shooting:
+            requests.settled()
+            if not requests.holds:
                 if await self.acquire():
-                    paused_s = flight.clock.monotonic() - began
-                    flight.recorder.emit(ev.MissionResumed(paused_s=paused_s), MissionState.CAPTURING)
-                    flight.pace.restart(flight.clock.monotonic())
+                    paused_s = context.clock.monotonic() - began
+                    context.recorder.emit(ev.MissionResumed(paused_s=paused_s), MissionState.CAPTURING)
+                    context.eta.restart(context.clock.monotonic())
                     return
                 continue
-            if tuple(control.holds) != announced:
-                announced = tuple(control.holds)
+            if tuple(requests.holds) != announced:
+                announced = tuple(requests.holds)
                 self._announce()
-            if any(hold.finding.release for hold in control.holds.values()):
+            if any(hold.finding.release for hold in requests.holds.values()):
                 await self.release()
-            now = flight.clock.monotonic()
-            if now - began > flight.settings.max_pause_s:
-                control.ask_stop(Stop("fail", f"paused for {now - began:.0f} s: {reasons(control.holds)}"))
+            now = context.clock.monotonic()
+            if now - began > context.settings.max_pause_s:
+                requests.request_stop(Stop("fail", f"paused for {now - began:.0f} s: {reasons(requests.holds)}"))
                 return
-            patience_s = flight.settings.guards.reclaim_after_s if asked == began else RECLAIM_EVERY_S
-            if set(control.holds) == {"gimbal_control"} and now - asked >= patience_s:
-                asked = now
+            delay_s = context.settings.guards.reclaim_after_s if reclaimed == began else RECLAIM_EVERY_S
+            if set(requests.holds) == {"gimbal_control"} and now - reclaimed >= delay_s:
+                reclaimed = now
                 await self._reclaim()
-            await until(flight.clock.sleep(TICK_S), control.changed.wait(), "paused")
+            await until(context.clock.sleep(TICK_S), requests.changed.wait(), "paused")
 
     def _announce(self) -> None:
-        holds = self._flight.control.holds
+        holds = self._context.requests.holds
         paused = ev.MissionPaused(
             code="+".join(holds),
             reason=reasons(holds),
             automatic=all(hold.finding.automatic for hold in holds.values()),
         )
-        self._flight.recorder.emit(paused, MissionState.PAUSED)
+        self._context.recorder.emit(paused, MissionState.PAUSED)
 
     async def acquire(self) -> bool:
-        """Take the gimbal, unless this process has it; on failure the mission holds. Gives up when it must leave."""
-        flight = self._flight
-        if flight.record.gimbal_held and flight.gimbal.in_control:
+        """Acquire the gimbal unless it is controlled already; a failure adds a hold. Stops when shooting must end."""
+        context = self._context
+        if context.record.gimbal_held and context.gimbal.in_control:
             return True
         self._touched, self._asks_manager, self._taking = True, False, True
         try:
-            done, _ = await until(flight.control.leaving.wait(), flight.gimbal.acquire(), "take the gimbal")
+            done, _ = await until(context.requests.leaving.wait(), context.gimbal.acquire(), "take the gimbal")
         except DeviceError as error:
-            finding = Finding(code="gimbal_control", reason=f"cannot take the gimbal: {error}", automatic=True)
-            flight.control.hold(finding)
+            finding = Finding(code="gimbal_control", reason=f"cannot acquire the gimbal: {error}", automatic=True)
+            context.requests.hold(finding)
             return False
         finally:
             self._taking = False
         if done:
-            flight.recorder.emit(ev.GimbalAcquired())
+            context.recorder.emit(ev.GimbalAcquired())
         return done
 
     async def _reclaim(self) -> None:
-        finding = self._flight.control.holds["gimbal_control"].finding
-        if finding.automatic and self._flight.record.gimbal_held:
+        finding = self._context.requests.holds["gimbal_control"].finding
+        if finding.automatic and self._context.record.gimbal_held:
             await self.acquire()
 
     async def release(self) -> None:
-        """Give the gimbal back if it was asked for, now or before a crash; bounded, never raises if it is gone."""
-        flight = self._flight
-        if not self._touched and not (self._asks_manager and flight.gimbal.in_control):
+        """Release the gimbal if this or a crashed process acquired it; with a timeout, never raises a device error."""
+        context = self._context
+        if not self._touched and not (self._asks_manager and context.gimbal.in_control):
             return
         self._touched = self._asks_manager = False
         try:
-            await within(flight.clock, flight.settings.release_s, flight.gimbal.release(), "release the gimbal")
+            await within(context.clock, context.settings.release_s, context.gimbal.release(), "release the gimbal")
         except (TimeoutError, DeviceError):
             confirmed = False
         except asyncio.CancelledError:
-            self._touched = True  # the last try, at the very end, will see to it
+            self._touched = True  # the final call at the mission's end tries again
             raise
         else:
             confirmed = True
-        flight.recorder.emit(ev.GimbalReleased(confirmed=confirmed))
+        context.recorder.emit(ev.GimbalReleased(confirmed=confirmed))

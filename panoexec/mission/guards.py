@@ -1,7 +1,8 @@
-"""Guards: small objects that look at the situation while a mission flies and say why it must hold.
+"""Guards: conditions that are checked while a mission runs and that pause it.
 
-Each has a code (stable, for programs) and a reason (for a pilot). `automatic` findings let the mission go on by itself
-when they are gone; the others wait for `resume`. `release` gives the gimbal back at once.
+Each finding has a code (stable, for programs) and a reason (for a pilot). After an `automatic` finding the mission
+continues by itself when the cause is gone; after the others it waits for `resume`. `release` releases the gimbal at
+once.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from panoexec.devices import VehicleStatus
-from panoexec.mission.preflight import LEISURELY_S, cannot_turn
+from panoexec.mission.preflight import IDLE_SILENCE_S, cannot_turn
 from panoexec.mission.settings import GuardSettings, MissionSettings
 
 EARTH_RADIUS_M = 6_371_000.0
@@ -20,18 +21,18 @@ EARTH_RADIUS_M = 6_371_000.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Situation:
-    """What guards look at.
+    """The inputs of the guards.
 
     Attributes:
         now_s: on the mission's clock.
         vehicle: its newest status.
         sample_age_s: age of the newest attitude sample; infinity before the first.
-        in_control: whether the gimbal's manager names us.
-        expects_control: whether it should.
-        unclaimed: whether the manager says that nobody has the gimbal.
+        in_control: whether the gimbal manager names panoexec as primary control.
+        expects_control: whether the mission has acquired the gimbal.
+        unclaimed: whether the manager reports no primary control.
         origin: latitude, longitude, altitude where the mission began; NaN where unknown.
-        storage_free_images: how many more photos fit.
-        holding: codes of the findings that hold the mission now.
+        storage_free_images: how many more photos the camera's storage holds.
+        holding: codes of the active holds.
         turn_modes: flight modes in which the vehicle can be turned; None while it need not be.
     """
 
@@ -49,7 +50,14 @@ class Situation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """Why a mission must hold."""
+    """Why a mission must pause.
+
+    Attributes:
+        code: for programs.
+        reason: for the pilot.
+        automatic: the mission continues by itself when the cause is gone.
+        release: the gimbal must be released at once.
+    """
 
     code: str
     reason: str
@@ -58,16 +66,16 @@ class Finding:
 
 
 class Guard(Protocol):
-    """Looks at one danger."""
+    """Checks one condition."""
 
     def check(self, situation: Situation) -> Finding | None:
-        """The finding, or None while all is well. Must be quick and must not wait."""
+        """The finding, or None if the condition is met. Must return quickly and must not block."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class LinkGuard:
-    """The vehicle is gone."""
+    """The heartbeat of the autopilot is missing."""
 
     def check(self, situation: Situation) -> Finding | None:
         """See `Guard.check`."""
@@ -78,32 +86,33 @@ class LinkGuard:
 
 @dataclass(frozen=True, slots=True)
 class AttitudeGuard:
-    """The attitude stream is silent, so that nothing can be proven.
+    """The attitude stream is silent, so no pose can be verified.
 
-    While the gimbal is not held its reports are asked for less often, and `LEISURELY_S` is the least patience.
+    While the gimbal is not held its attitude is requested at a lower rate; the limit is then at least `IDLE_SILENCE_S`.
     """
 
     silence_s: float
 
     def check(self, situation: Situation) -> Finding | None:
         """See `Guard.check`."""
-        silence_s = self.silence_s if situation.expects_control else max(self.silence_s, LEISURELY_S)
+        silence_s = self.silence_s if situation.expects_control else max(self.silence_s, IDLE_SILENCE_S)
         if situation.sample_age_s <= silence_s:
             return None
         age = situation.sample_age_s
         for_how_long = f"for {age:.1f} s" if math.isfinite(age) else "yet"
         return Finding(
             code="attitude",
-            reason=f"the gimbal has reported no attitude {for_how_long}; waiting for it",
+            reason=f"the gimbal has sent no attitude {for_how_long}; waiting for it",
             automatic=True,
         )
 
 
 @dataclass(frozen=True, slots=True)
 class ControlGuard:
-    """Somebody else has the gimbal.
+    """Another component controls the gimbal.
 
-    Who gives it back leaves it to nobody: so that the mission may go on, it need not be ours again already.
+    A component that releases the gimbal leaves it without primary control. So a hold of this guard ends when the gimbal
+    is unclaimed; the mission acquires it again before it continues.
     """
 
     reclaim: bool
@@ -114,14 +123,14 @@ class ControlGuard:
             return None
         if situation.unclaimed and not self.reclaim and "gimbal_control" in situation.holding:
             return None
-        what = "asking for it back" if self.reclaim else "give it back and resume"
-        reason = f"the gimbal is not ours any more (another station has it, or its manager restarted); {what}"
+        what = "requesting it back" if self.reclaim else "release it there and resume"
+        reason = f"gimbal control was lost (another station took it, or its manager restarted); {what}"
         return Finding(code="gimbal_control", reason=reason, automatic=self.reclaim)
 
 
 @dataclass(frozen=True, slots=True)
 class ModeGuard:
-    """The pilot flies: hands off."""
+    """The flight mode is not allowed: the pilot has taken over."""
 
     allowed: tuple[str, ...]
 
@@ -140,7 +149,7 @@ class ModeGuard:
 
 @dataclass(frozen=True, slots=True)
 class TurnGuard:
-    """The vehicle must be turned for the shots to come, and its flight mode does not let it."""
+    """The remaining shots require the vehicle to turn, and the flight mode does not allow it."""
 
     def check(self, situation: Situation) -> Finding | None:
         """See `Guard.check`."""
@@ -148,7 +157,9 @@ class TurnGuard:
         if modes is None or not mode or mode in modes or not situation.vehicle.connected:
             return None
         return Finding(
-            code="turning", reason=f"the vehicle pans the camera: {cannot_turn(mode, modes)}", automatic=True
+            code="turning",
+            reason=f"the vehicle must turn for the next shots: {cannot_turn(mode, modes)}",
+            automatic=True,
         )
 
 
@@ -167,13 +178,13 @@ class LandedGuard:
 
 @dataclass(frozen=True, slots=True)
 class BatteryGuard:
-    """The battery is needed for the way home."""
+    """The battery is below the floor."""
 
     floor_frac: float
 
     def check(self, situation: Situation) -> Finding | None:
         """See `Guard.check`."""
-        if not situation.vehicle.battery_frac < self.floor_frac:  # NaN: the vehicle does not say
+        if not situation.vehicle.battery_frac < self.floor_frac:  # NaN: not reported
             return None
         have, floor = 100 * situation.vehicle.battery_frac, 100 * self.floor_frac
         reason = f"battery at {have:.0f} %, floor {floor:.0f} %: land, swap the battery and resume"
@@ -182,7 +193,7 @@ class BatteryGuard:
 
 @dataclass(frozen=True, slots=True)
 class PositionGuard:
-    """The vehicle has drifted off: parallax."""
+    """The vehicle has drifted from the mission's origin, which causes parallax."""
 
     drift_m: float
     back_frac: float
@@ -193,15 +204,13 @@ class PositionGuard:
         limit = self.drift_m * (self.back_frac if "position" in situation.holding else 1.0)
         if not moved > limit:  # NaN: unknown
             return None
-        reason = (
-            f"{moved:.1f} m away from where the mission began (at most {self.drift_m:g} m); waiting for it to be back"
-        )
+        reason = f"{moved:.1f} m from where the mission began (at most {self.drift_m:g} m); waiting for its return"
         return Finding(code="position", reason=reason, automatic=True)
 
 
 @dataclass(frozen=True, slots=True)
 class StorageGuard:
-    """The camera is full."""
+    """The camera's storage is full."""
 
     needed: int
 
@@ -209,11 +218,11 @@ class StorageGuard:
         """See `Guard.check`."""
         if situation.storage_free_images >= self.needed:
             return None
-        return Finding(code="storage", reason="the camera's storage is full; make room", automatic=True)
+        return Finding(code="storage", reason="the camera's storage is full; free some space", automatic=True)
 
 
 def flight_guards(settings: MissionSettings) -> tuple[Guard, ...]:
-    """The guards that watch a flight with these settings."""
+    """The guards that these settings enable."""
     guard: GuardSettings = settings.guards
     guards: list[Guard] = [LinkGuard(), ControlGuard(guard.reclaim == "ask"), StorageGuard(settings.brackets)]
     if settings.feedback != "none":
@@ -232,10 +241,10 @@ def flight_guards(settings: MissionSettings) -> tuple[Guard, ...]:
 
 
 def distance_m(origin: tuple[float, float, float], vehicle: VehicleStatus) -> float:
-    """Distance of the vehicle from a place (latitude, longitude, altitude), metres; NaN if either is unknown.
+    """Distance of the vehicle from a position (latitude, longitude, altitude), metres; NaN if either is unknown.
 
-    The larger of the way along the ground and half the way in height, whose error is about twice as large. Flat earth,
-    good to a part in a thousand for the few metres that matter; the height counts if both are known.
+    The larger of the horizontal distance and half the vertical distance, whose GNSS error is about twice as large.
+    Computed on a flat earth, accurate to 0.1 % over a few metres; the altitude counts only if both are known.
     """
     latitude, longitude, altitude = origin
     north = math.radians(vehicle.latitude_deg - latitude) * EARTH_RADIUS_M
@@ -247,11 +256,11 @@ def distance_m(origin: tuple[float, float, float], vehicle: VehicleStatus) -> fl
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hold:
-    """A finding (or a command) that holds the mission, and since when its cause is gone.
+    """A finding (or a command) that holds the mission.
 
     Attributes:
         finding: why.
-        gone_since_s: NaN while the cause persists.
+        gone_since_s: since when its cause is absent; NaN while it persists.
     """
 
     finding: Finding
@@ -259,5 +268,5 @@ class Hold:
 
 
 def reasons(holds: Mapping[str, Hold]) -> str:
-    """All that holds a mission, in one line."""
+    """The reasons of all holds, in one line."""
     return "; ".join(hold.finding.reason for hold in holds.values())

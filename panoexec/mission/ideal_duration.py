@@ -1,4 +1,4 @@
-"""The physical limit: the least time in which a gimbal and a camera could take given shots."""
+"""The ideal duration: the least time in which this gimbal and camera can take given shots."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ def ideal_step_durations_s(
     exposure_s: float,
     lag_s: float = 0.0,
 ) -> list[float]:
-    """The least seconds that each of these shots takes after the one before, one photo each.
+    """The least seconds from each shot to the next, with one photo each.
 
     Args:
         shots: in shooting order.
         settings: rates, accelerations, settle time, interval.
         start: pitch and yaw before the first slew; None counts no slew for the first shot.
-        exposure_s: of one photo.
-        lag_s: from the camera's command to the opening of its shutter, where that is known.
+        exposure_s: exposure time of one photo.
+        lag_s: shutter lag: from the camera's command to the opening of its shutter, if known.
     """
     limits = settings.gimbal
     if limits.turning is not None:

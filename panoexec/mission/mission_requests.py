@@ -1,7 +1,7 @@
-"""What was asked of a running mission, and what holds it: level-triggered wishes that it obeys at its next safe point.
+"""Requests to a running mission and its holds: level-triggered state that the mission reads at its next safe point.
 
-Nothing here waits. A command changes a wish and wakes the mission; so no command can come at a wrong moment, and one
-that is taken back before the mission got to it (pause, then resume) leaves no trace but its event.
+Nothing here waits. A command changes the state and wakes the mission, so a command is safe at any time. A request that
+is withdrawn before the mission acted on it (pause, then resume) has no effect apart from its events.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ from panoexec.mission.guards import Finding, Hold, reasons
 
 
 class CommandRefusedError(MissionError):
-    """The mission cannot do this now; the message says why."""
+    """The mission cannot execute the command in its present state; the message says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """The mission must end: `abort` somebody said so, `interrupt` the process ends, `fail` it cannot go on."""
+    """The mission must end: `abort` by command, `interrupt` because the process ends, `fail` because of a fault."""
 
     kind: Literal["abort", "interrupt", "fail"]
     reason: str
 
 
 class MissionRequests:
-    """The wishes of a mission.
+    """The requests to a mission.
 
     Attributes:
         stop: the mission must end, and why.
-        over: it is ending by itself, and nothing can be asked of it any more.
-        finish: shooting must end, the gaps are accepted.
-        skips: shots that are not wanted any more.
-        holds: what holds the mission, by code.
-        interrupt: set while an attempt on its way should give up: a stop, a hold, or a skip of the current shot.
-        changed: set when anything changed since the mission last looked.
+        over: the mission is ending by itself; commands are refused.
+        finish: reason why shooting must end with the gaps accepted; None: it need not.
+        skips: shots to skip.
+        holds: active holds by code.
+        interrupt: set while the current attempt must be broken off: a stop, a hold, or a skip of its shot.
+        changed: set when anything changed since `settled` was called.
         stopping: set once the mission must end.
         leaving: set once shooting must end.
     """
@@ -54,40 +54,40 @@ class MissionRequests:
         self.leaving = asyncio.Event()
 
     @property
-    def must_leave(self) -> bool:
+    def must_end_shooting(self) -> bool:
         """Whether shooting must end."""
         return self.stop is not None or self.finish is not None
 
-    def ask_stop(self, stop: Stop) -> None:
-        """End the mission; the first reason given stays, but an abort overrules a finish."""
+    def request_stop(self, stop: Stop) -> None:
+        """End the mission; the first stop wins, and it overrides a finish."""
         if self.stop is None:
             self.stop = stop
         self.stopping.set()
         self.leaving.set()
         self._wake()
 
-    def ask_finish(self, reason: str) -> None:
-        """End shooting."""
+    def request_finish(self, reason: str) -> None:
+        """End shooting and accept the gaps."""
         self.finish = reason
         self.leaving.set()
         self._wake()
 
-    def ask_skip(self, shot: int, *, current: bool) -> None:
-        """Leave a shot out."""
+    def request_skip(self, shot: int, *, current: bool) -> None:
+        """Skip a shot; `current`: its attempt is in progress and must be broken off."""
         self.skips.add(shot)
         if current:
             self.interrupt.set()
         self.changed.set()
 
-    def ask_pause(self, reason: str) -> None:
+    def request_pause(self, reason: str) -> None:
         """Hold until `resume`."""
         self.hold(Finding(code="command", reason=reason or "paused by command", automatic=False))
 
     def resume(self) -> None:
-        """Let everything go whose cause is gone; the command's own hold included.
+        """Remove the command's own hold and all holds whose cause is gone.
 
         Raises:
-            CommandRefusedError: something still holds the mission; then nothing changed.
+            CommandRefusedError: the cause of another hold persists; nothing was changed.
         """
         lasting = {
             code: hold for code, hold in self.holds.items() if code != "command" and math.isnan(hold.gone_since_s)
@@ -95,10 +95,10 @@ class MissionRequests:
         if lasting:
             raise CommandRefusedError(f"cannot resume yet: {reasons(lasting)}")
         self.holds.clear()
-        self._calm()
+        self._release_attempt()
 
     def hold(self, finding: Finding) -> bool:
-        """Something holds the mission; returns whether that is news."""
+        """Add a hold; returns whether it is new."""
         old = self.holds.get(finding.code)
         self.holds[finding.code] = Hold(finding=finding)
         if old is None:
@@ -106,7 +106,7 @@ class MissionRequests:
         return old is None
 
     def clear(self, code: str, *, now_s: float, clear_s: float) -> None:
-        """The cause `code` is gone at this moment; an automatic hold ends when it stays gone for `clear_s`."""
+        """The cause `code` is absent now; an automatic hold ends after an absence of `clear_s`."""
         hold = self.holds.get(code)
         if hold is None:
             return
@@ -114,17 +114,17 @@ class MissionRequests:
             self.holds[code] = hold = replace(hold, gone_since_s=now_s)
         if hold.finding.automatic and now_s - hold.gone_since_s >= clear_s:
             del self.holds[code]
-            self._calm()
+            self._release_attempt()
 
     def settled(self) -> None:
-        """The mission looked at its wishes and has no attempt on its way."""
+        """The mission has read its requests and has no attempt in progress."""
         self.changed.clear()
-        if not self.must_leave and not self.holds:
+        if not self.must_end_shooting and not self.holds:
             self.interrupt.clear()
 
-    def _calm(self) -> None:
+    def _release_attempt(self) -> None:
         self.changed.set()
-        if not self.must_leave and not self.holds:
+        if not self.must_end_shooting and not self.holds:
             self.interrupt.clear()
 
     def _wake(self) -> None:

@@ -1,7 +1,7 @@
-"""What the pilot is told: one short line on the ground station for each turn of a mission, in a pilot's words.
+"""Messages to the pilot: one STATUSTEXT line per phase of a mission.
 
-STATUSTEXT (253) has 50 characters a line and is read at a glance, some ground stations speak it. So the figures and
-full reasons are left to the journal, and nothing is said of single shots.
+STATUSTEXT (253) has 50 characters per line, is read at a glance, and some ground stations speak it. So figures and full
+reasons stay in the journal, and there are no messages about single shots.
 """
 
 from __future__ import annotations
@@ -18,32 +18,32 @@ from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.log.states import MissionState
 
-MOST_SAYINGS: Final = 20
-"""What waits beyond that, on a link that is gone, is dropped, oldest first."""
-FAREWELL_S: Final = 3.0
-"""How long the end of a mission waits for the last words."""
+MAX_QUEUED: Final = 20
+"""Most messages that wait for the link; when it is exceeded, the oldest is dropped."""
+FLUSH_TIMEOUT_S: Final = 3.0
+"""How long the end of a mission waits for queued messages."""
 
-PAUSES: Final[Mapping[str, str]] = MappingProxyType(
+PAUSE_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
     {
-        "link": "link was lost, waiting",
-        "attitude": "gimbal reports nothing, waiting",
-        "gimbal_control": "gimbal taken by another station",
-        "pilot": "pilot has control, gimbal is free",
-        "turning": "flight mode cannot turn us",
-        "landed": "not in the air, gimbal is free",
+        "link": "link lost, waiting",
+        "attitude": "no gimbal attitude, waiting",
+        "gimbal_control": "another station has the gimbal",
+        "pilot": "pilot has control, gimbal released",
+        "turning": "cannot turn in this flight mode",
+        "landed": "not in the air, gimbal released",
         "battery": "battery low: land, swap, resume",
-        "position": "drifted off, waiting to be back",
+        "position": "drifted, return to start position",
         "storage": "camera storage is full",
         "command": "by command",
     }
 )
-"""What each guard's code is to a pilot."""
-_WARNINGS: Final[Mapping[str, str]] = MappingProxyType(
+"""Text for each guard code."""
+_WARNING_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "reboot": "autopilot rebooted",
-        "open_loop": "no gimbal feedback, poses unproven",
+        "open_loop": "no gimbal feedback, poses unverified",
         "position": "moved since the first shots: parallax",
-        "battery_estimate": "more shots than this battery lasts for",
+        "battery_estimate": "battery too small for all shots",
     }
 )
 
@@ -57,13 +57,13 @@ class PilotMessage:
 
 
 def pilot_message_for(event: ev.Event, record: MissionRecord) -> PilotMessage | None:  # noqa: C901, PLR0911, PLR0912  (one case a kind)
-    """What the pilot is told of an event; None for nothing."""
+    """The message for an event; None if it has none."""
     done = f"{record.shots_done}/{record.shots_total}"
     match event:
         case ev.MissionStarted(resumed=True):
-            return PilotMessage(f"goes on at {done}, checking", Severity.INFO)
+            return PilotMessage(f"resumed at {done}, preflight checks", Severity.INFO)
         case ev.MissionStarted():
-            return PilotMessage(f"{event.shots_total} shots, checking", Severity.INFO)
+            return PilotMessage(f"{event.shots_total} shots, preflight checks", Severity.INFO)
         case ev.PreflightPassed():
             return PilotMessage("shooting, hold position", Severity.NOTICE)
         case ev.PreflightFailed():
@@ -71,18 +71,18 @@ def pilot_message_for(event: ev.Event, record: MissionRecord) -> PilotMessage | 
         case ev.MissionPaused(code="interrupted"):
             return PilotMessage(f"stopped at {done}, can be resumed", Severity.WARNING)
         case ev.MissionPaused():
-            why = " + ".join(PAUSES.get(code, code) for code in event.code.split("+"))
+            why = " + ".join(PAUSE_TEXTS.get(code, code) for code in event.code.split("+"))
             return PilotMessage(f"paused: {why}", Severity.NOTICE if event.code == "command" else Severity.WARNING)
         case ev.MissionResumed():
-            return PilotMessage(f"goes on at {done}", Severity.NOTICE)
+            return PilotMessage(f"continues at {done}", Severity.NOTICE)
         case ev.PatchPlanned():
             return PilotMessage(f"{len(event.shots)} more shots to close holes", Severity.INFO)
         case ev.Warned():
-            return PilotMessage(_WARNINGS.get(event.code, event.text), Severity.WARNING)
+            return PilotMessage(_WARNING_TEXTS.get(event.code, event.text), Severity.WARNING)
         case ev.MissionFinished(state=MissionState.COMPLETE):
-            return PilotMessage(f"complete, {done}, gimbal is free", Severity.NOTICE)
+            return PilotMessage(f"complete, {done}, gimbal released", Severity.NOTICE)
         case ev.MissionFinished(state=MissionState.ABORTED):
-            return PilotMessage(f"aborted at {done}, gimbal is free", Severity.WARNING)
+            return PilotMessage(f"aborted at {done}, gimbal released", Severity.WARNING)
         case ev.MissionFinished(state=MissionState.INCOMPLETE):
             return PilotMessage(f"ended, {len(event.missing)} of {record.shots_total} missing", Severity.WARNING)
         case ev.MissionFinished():
@@ -91,45 +91,45 @@ def pilot_message_for(event: ev.Event, record: MissionRecord) -> PilotMessage | 
 
 
 class PilotMessenger:
-    """A sink of a mission's events that speaks to the pilot; `run` does so beside the mission."""
+    """An event sink that sends messages to the pilot; `run` sends them, concurrently with the mission."""
 
     def __init__(self, *, vehicle: Vehicle, record: MissionRecord) -> None:
         self._vehicle = vehicle
         self._record = record
-        self._waiting: deque[PilotMessage] = deque(maxlen=MOST_SAYINGS)
-        self._came = asyncio.Event()
-        self._speaking = asyncio.Lock()
+        self._waiting: deque[PilotMessage] = deque(maxlen=MAX_QUEUED)
+        self._wake = asyncio.Event()
+        self._sending = asyncio.Lock()
 
     def publish(self, event: ev.Event) -> None:
         """See `EventSink.publish`."""
-        saying = pilot_message_for(event, self._record)
-        if saying is not None:
-            self.tell(saying)
+        message = pilot_message_for(event, self._record)
+        if message is not None:
+            self.send(message)
 
-    def tell(self, saying: PilotMessage) -> None:
-        """Say something when there is time."""
-        self._waiting.append(saying)
-        self._came.set()
+    def send(self, message: PilotMessage) -> None:
+        """Queue a message."""
+        self._waiting.append(message)
+        self._wake.set()
 
     async def run(self) -> None:
-        """Speak; runs until cancelled."""
+        """Send queued messages; runs until cancelled."""
         while True:
-            await self._came.wait()
-            self._came.clear()
-            await self._speak()
+            await self._wake.wait()
+            self._wake.clear()
+            await self._send_queued()
 
-    async def farewell(self) -> None:
-        """Say what is left, if that takes no longer than a few seconds."""
+    async def flush(self) -> None:
+        """Send what is queued, for at most `FLUSH_TIMEOUT_S`."""
         try:
-            async with asyncio.timeout(FAREWELL_S):
-                await self._speak()
+            async with asyncio.timeout(FLUSH_TIMEOUT_S):
+                await self._send_queued()
         except TimeoutError:
             self._waiting.clear()
 
-    async def _speak(self) -> None:
-        async with self._speaking:
+    async def _send_queued(self) -> None:
+        async with self._sending:
             while self._waiting:
-                saying = self._waiting[0]
-                await self._vehicle.say(f"Pano: {saying.text}", saying.severity)
-                if self._waiting and self._waiting[0] is saying:  # else it was pushed out meanwhile
+                message = self._waiting[0]
+                await self._vehicle.say(f"Pano: {message.text}", message.severity)
+                if self._waiting and self._waiting[0] is message:  # else it was dropped meanwhile
                     self._waiting.popleft()

@@ -1,4 +1,4 @@
-"""Checks before a mission moves anything: each problem one line for a pilot."""
+"""Preflight checks, made before the gimbal moves; each problem is one line for the pilot."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from panoexec.mission.settings import GuardSettings, MissionSettings
 from panoexec.planning.model import GimbalLimits, Shot
 from panoexec.planning.order.vehicle_yaw import PanReach
 
-PILOTS_NAMES = {"OFFBOARD": "OFFBOARD (ArduPilot: GUIDED)", "HOLD": "HOLD (PX4: Hold)"}
-"""Flight modes as pilots know them, by MAVSDK's names."""
+PILOT_MODE_NAMES = {"OFFBOARD": "OFFBOARD (ArduPilot: GUIDED)", "HOLD": "HOLD (PX4: Hold)"}
+"""Flight mode names that pilots know, by MAVSDK's names."""
 
-LEISURELY_S = 2.5
-"""While the gimbal is not held, its reports are looked at once a second, or come twice: silence is longer."""
+IDLE_SILENCE_S = 2.5
+"""Least attitude timeout while the gimbal is not held: its attitude is then read or streamed at 1 to 2 Hz."""
 FRESH_FRAC = 0.9
-"""A battery with more than this is as full as one is that has just taken off."""
+"""A battery above this counts as full: it has just taken off."""
 
 
 def limit_problems(shots: Iterable[Shot], limits: GimbalLimits, *, margin_deg: float = 1e-6) -> list[str]:
-    """Shots that the gimbal cannot reach: one line an axis and end, with the worst of them.
+    """Shots that the gimbal cannot reach: one line per axis, with the worst shot.
 
-    Yaw limits mean yaw from the vehicle's heading; they are checked only where the pan range has no full turn and the
-    caller gives shots in that frame.
+    Yaw limits are relative to the vehicle's heading, and so must the shots' yaws be; they are checked only if the pan
+    range is less than a full turn.
     """
     out: dict[str, tuple[float, str, int]] = {}
     for shot in shots:
@@ -42,22 +42,22 @@ def limit_problems(shots: Iterable[Shot], limits: GimbalLimits, *, margin_deg: f
             worst, _, count = out.get(axis, (0.0, "", 0))
             text = f"shot {shot.index} at {axis} {value:.2f}° is outside the gimbal's {low:g}° to {high:g}°"
             if axis == "yaw":
-                text += ' of the nose (gimbal.yaw = "auto" lets the vehicle turn)'
+                text += ' relative to the heading (gimbal.yaw = "auto" lets the vehicle turn)'
             out[axis] = (beyond, text, count + 1) if beyond > worst else (worst, out[axis][1], count + 1)
     return [text + (f" (and {count - 1} more)" if count > 1 else "") for _, text, count in out.values()]
 
 
 def gimbal_limits(gimbal: Gimbal, settings: MissionSettings) -> GimbalLimits:
-    """The limits that hold: ranges as the gimbal states them, else as configured; rates always as configured."""
-    return limits_that_hold(gimbal.limits, settings.gimbal)
+    """The effective limits: ranges as the gimbal reports them, else as configured; rates always as configured."""
+    return effective_limits(gimbal.limits, settings.gimbal)
 
 
-def limits_that_hold(own: GimbalLimits | None, configured: GimbalLimits) -> GimbalLimits:
-    """What the gimbal states (None: nothing) with what is configured; see `gimbal_limits`."""
+def effective_limits(own: GimbalLimits | None, configured: GimbalLimits) -> GimbalLimits:
+    """The limits that the gimbal reports (None: none) combined with the configured ones; see `gimbal_limits`."""
     if own is None:
         return configured
     pitch = replace(configured, pitch_min_deg=own.pitch_min_deg, pitch_max_deg=own.pitch_max_deg)
-    if configured.turning is not None and not configured.pans:  # a pan axis is not used where the vehicle is to pan
+    if configured.turning is not None and not configured.pans:  # the vehicle pans: a pan axis is not used
         return pitch
     return replace(
         pitch,
@@ -78,17 +78,17 @@ def preflight_problems(
     now_s: float,
     expected_s: float,
 ) -> list[str]:
-    """Everything that speaks against beginning now; empty when all is well.
+    """Everything that prevents a start now; empty if nothing does.
 
     Args:
-        shots: those still to be taken, in the plan's frame.
+        shots: the remaining shots, in the plan's frame.
         settings: the mission's.
-        gimbal: asked for limits and its newest attitude.
-        camera: asked for its storage.
-        vehicle: asked for its status.
+        gimbal: its limits and newest attitude are read.
+        camera: its free storage is read.
+        vehicle: its status is read.
         reference_yaw_north_deg: direction of the plan's yaw 0 from true north.
         now_s: on the mission's clock.
-        expected_s: how long those shots will take.
+        expected_s: expected duration of those shots.
     """
     status = vehicle.status
     guards = settings.guards
@@ -113,48 +113,48 @@ def preflight_problems(
         problems.append(f"the camera has room for {camera.storage_free_images:g} photos, {needed} are needed")
     problems += battery_problems(status.battery_frac, guards, expected_s=expected_s)
     if status.unhealthy:
-        problems.append(f"the autopilot calls unhealthy what its attitude rests on: {', '.join(status.unhealthy)}")
+        problems.append(f"the autopilot reports as unhealthy: {', '.join(status.unhealthy)}")
     if guards.position_hold and not status.in_air:
         problems.append("the vehicle is not in the air: take off and hover")
     if guards.position_hold and not status.position_ok:
-        problems.append("the vehicle has no good position: it cannot hold its place")
+        problems.append("the vehicle has no valid position and cannot hold it")
     if guards.allowed_modes and status.mode not in guards.allowed_modes:
         problems.append(f"flight mode is {status.mode or 'unknown'}; allowed: {', '.join(guards.allowed_modes)}")
     return problems
 
 
 def battery_problems(charge_frac: float, guards: GuardSettings, *, expected_s: float) -> list[str]:
-    """Why a mission must not begin with this charge; empty if it may, or the vehicle does not tell its charge.
+    """Why a mission must not begin with this charge; empty if it may, or if the charge is unknown.
 
-    What a fresh battery could not do either is no reason not to begin (`battery_warning`): it is flown on several.
+    A mission that a full battery could not finish either may begin (see `battery_warning`): it needs several.
 
     Args:
-        charge_frac: 0 to 1, NaN where it is not told.
-        guards: floor, and how long a full battery lasts.
-        expected_s: how long shooting will take.
+        charge_frac: 0 to 1, NaN if not reported.
+        guards: floor, and hover time of a full battery.
+        expected_s: expected duration of the shots.
     """
     floor_frac = guards.battery_floor_frac
     have, floor = f"battery at {100 * charge_frac:.0f} %", f"{100 * floor_frac:.0f} %"
     if charge_frac < floor_frac:
         return [f"{have}, the floor is {floor}"]
     needed_frac = _needed_frac(guards, expected_s)
-    enough = not charge_frac - floor_frac < needed_frac  # NaN: the vehicle does not say
+    enough = not charge_frac - floor_frac < needed_frac  # NaN: not reported
     if enough or charge_frac >= FRESH_FRAC or needed_frac > FRESH_FRAC - floor_frac:
         return []
-    needed = f"the {expected_s / 60:.1f} min of shooting take about {100 * needed_frac:.0f} %"
+    needed = f"{expected_s / 60:.1f} min of shooting need about {100 * needed_frac:.0f} %"
     return [
-        f"{have}: {needed}, and {floor} must remain; begin with a full one ([guards] hover_min: how long that lasts)"
+        f"{have}: {needed}, and {floor} must remain; start with a full battery ([guards] hover_min: its hover time)"
     ]
 
 
 def battery_warning(charge_frac: float, guards: GuardSettings, *, expected_s: float) -> str:
-    """What a pilot should know of a mission that one battery is not enough for; "" if this one is."""
+    """The warning for a mission that this battery cannot finish; "" if it can."""
     needed_frac = _needed_frac(guards, expected_s)
     if not charge_frac - guards.battery_floor_frac < needed_frac:
         return ""
     return (
-        f"{expected_s / 60:.0f} min of shooting are more than this battery lasts: it will pause at"
-        f" {100 * guards.battery_floor_frac:.0f} % and can be resumed with a full one"
+        f"{expected_s / 60:.0f} min of shooting exceed this battery: the mission will pause at"
+        f" {100 * guards.battery_floor_frac:.0f} % and can be resumed with a full battery"
     )
 
 
@@ -163,17 +163,17 @@ def _needed_frac(guards: GuardSettings, expected_s: float) -> float:
 
 
 def turning_problems(forward: Sequence[Shot], limits: GimbalLimits, vehicle: Vehicle) -> list[str]:
-    """Why a vehicle that must be turned for these shots cannot be; empty if it can, or need not.
+    """Why the vehicle cannot make the turns that these shots need; empty if it can, or need not turn.
 
     Args:
-        forward: the shots, yaw from the vehicle's nose; empty while its heading is unknown.
-        limits: of the gimbal, and of the turning.
-        vehicle: asked for its mode.
+        forward: the shots, yaw relative to the vehicle's heading; empty while that is unknown.
+        limits: of the gimbal and of turns.
+        vehicle: its flight mode is read.
     """
     if limits.turning is None:
         return []
     if not forward:
-        return ["the vehicle does not say where its nose points, and may have to be turned"]
+        return ["the vehicle's heading is unknown, but it may have to turn"]
     reach = PanReach.of(limits)
     beyond = sum(not reach.has(shot.yaw_deg, 0.0) for shot in forward)
     if not beyond or vehicle.status.mode in vehicle.turn_modes:
@@ -182,18 +182,18 @@ def turning_problems(forward: Sequence[Shot], limits: GimbalLimits, vehicle: Veh
 
 
 def cannot_turn(mode: str, turn_modes: Sequence[str]) -> str:
-    """Why a vehicle does not turn in this mode, and in which it does, in words for its pilot."""
-    names = [PILOTS_NAMES.get(name, name) for name in turn_modes]
-    return f"in flight mode {mode or 'unknown'} it cannot be turned; change to {' or '.join(names) or 'another one'}"
+    """Text for the pilot: the vehicle does not turn in this mode, but in those."""
+    names = [PILOT_MODE_NAMES.get(name, name) for name in turn_modes]
+    return f"it does not turn in flight mode {mode or 'unknown'}; change to {' or '.join(names) or 'another mode'}"
 
 
 def attitude_problems(sample: AttitudeSample | None, *, now_s: float, silence_s: float) -> list[str]:
-    """What is wrong with the gimbal's attitude stream."""
+    """The faults of the gimbal's attitude stream."""
     if sample is None:
-        return ["the gimbal reports no attitude: check that it is connected and that its messages are streamed"]
+        return ["the gimbal sends no attitude: check that it is connected and that its messages are streamed"]
     if now_s - sample.received_s > silence_s:
         return [f"the gimbal's last attitude is {now_s - sample.received_s:.1f} s old"]
     if not all(math.isfinite(value) for value in sample.q_wxyz):
-        return ["the gimbal reports an attitude that is not a number"]
+        return ["the gimbal reports a non-finite attitude"]
     flagged = [name for flag, name in GIMBAL_FAILURES.items() if sample.failure_flags & flag]
     return [f"the gimbal reports: {', '.join(flagged)}"] if flagged else []

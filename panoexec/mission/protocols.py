@@ -1,4 +1,4 @@
-"""What the executor asks of its surroundings besides the devices."""
+"""Interfaces that the executor needs besides the devices."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 from panoexec.angles import FloatArray
-from panoexec.devices import Recollection
+from panoexec.devices import RecalledPhotos
 from panoexec.mission.log.events import Event
 from panoexec.planning.model import Certificate, Shot
 
 
 class Journal(Protocol):
-    """Keeps events for good."""
+    """Stores events durably."""
 
     async def append(self, events: Sequence[Event]) -> None:
-        """Return when all of them are on disk, in this order, or raise and keep none.
+        """Return when all of them are on disk, in this order, or raise and store none.
 
         Raises:
             MissionError: the journal cannot be written.
@@ -24,19 +24,19 @@ class Journal(Protocol):
 
 
 class Verifier(Protocol):
-    """The certificate of a panorama as flown; heavy work, done beside the event loop."""
+    """Certifies measured attitudes; heavy work, done outside the event loop."""
 
     async def certify(self, rotations: FloatArray, rows: Sequence[int]) -> Certificate:
-        """The verdict on measured attitudes.
+        """The certificate of measured attitudes.
 
         Args:
-            rotations: camera to plan frame (n, 3, 3), one an accepted shot.
+            rotations: camera to plan frame (n, 3, 3), one per accepted shot.
             rows: the row of each.
         """
         ...
 
     async def patch(self, rotations: FloatArray, rows: Sequence[int]) -> Sequence[Shot]:
-        """Shots that would close the holes that these leave; empty if there are none, or no shot can."""
+        """Shots that close the holes of these attitudes; empty if there are no holes or no shots can close them."""
         ...
 
 
@@ -56,13 +56,13 @@ class PhotoMemory(Protocol):
 
     @property
     def image_count(self) -> int:
-        """How many images it counts, if that includes all that were triggered; else -1."""
+        """The camera's image count if it includes all triggered photos; else -1."""
         ...
 
-    async def recall(self) -> Recollection:
-        """Ask for its last photos.
+    async def recall(self) -> RecalledPhotos:
+        """Request its latest photos.
 
         Raises:
-            DeviceError: it does not answer.
+            DeviceError: the camera did not answer.
         """
         ...

@@ -1,6 +1,6 @@
-"""Where a mission is tied down: the place that drift is measured from, and the direction of yaw 0.
+"""A mission's reference frame: the origin that drift is measured from, and the direction of the plan's yaw 0.
 
-A vehicle that has just been found may not have told them yet; they are taken as soon as it does.
+A vehicle that has just connected may not have reported position and heading yet; they are set as soon as it does.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from panoexec.mission.guards import distance_m
 from panoexec.mission.log import events as ev
 
 
-def anchor(flight: MissionContext) -> None:
-    """Take what this process still lacks and the vehicle tells by now."""
-    record = flight.record
-    if record.anchored and not math.isnan(record.reference_yaw_north_deg):
+def update_reference_frame(context: MissionContext) -> None:
+    """Set the origin and the reference yaw that are still unknown, if the vehicle reports them now."""
+    record = context.record
+    if record.origin_known and not math.isnan(record.reference_yaw_north_deg):
         return
-    status = flight.vehicle.status
-    lacks_place = not record.anchored and not math.isnan(status.latitude_deg)
+    status = context.vehicle.status
+    lacks_origin = not record.origin_known and not math.isnan(status.latitude_deg)
     lacks_heading = math.isnan(record.reference_yaw_north_deg) and not math.isnan(status.heading_deg)
-    if not lacks_place and not lacks_heading:
+    if not lacks_origin and not lacks_heading:
         return
-    flight.recorder.emit(
+    context.recorder.emit(
         ev.MissionAnchored(
             reference_yaw_north_deg=status.heading_deg if lacks_heading else record.reference_yaw_north_deg,
             latitude_deg=status.latitude_deg,
@@ -30,13 +30,13 @@ def anchor(flight: MissionContext) -> None:
             altitude_m=status.altitude_m,
         )
     )
-    if lacks_place:
-        tell_if_moved(flight)
+    if lacks_origin:
+        warn_if_moved(context)
 
 
-def tell_if_moved(flight: MissionContext) -> None:
-    """Warn if the vehicle is not where the first photos were taken, however many processes ago that was."""
-    moved = distance_m(flight.record.first_origin, flight.vehicle.status)
-    if moved > flight.settings.guards.position_drift_m:
-        text = f"resumed {moved:.1f} m from where the mission began: expect parallax in near objects"
-        flight.recorder.emit(ev.Warned(code="position", text=text))
+def warn_if_moved(context: MissionContext) -> None:
+    """Warn if the vehicle has moved from where the mission began, possibly in an earlier process."""
+    moved = distance_m(context.record.first_origin, context.vehicle.status)
+    if moved > context.settings.guards.position_drift_m:
+        text = f"resumed {moved:.1f} m from where the mission began: expect parallax on near objects"
+        context.recorder.emit(ev.Warned(code="position", text=text))

@@ -1,4 +1,4 @@
-"""How a mission is flown: every number that the executor decides by, with its unit and its default."""
+"""Mission settings: every parameter of the executor with its unit and default."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ Reclaim: TypeAlias = Literal["ask", "never"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GuardSettings:
-    """When a flight holds or ends by itself.
+    """When a mission pauses or ends by itself.
 
     Attributes:
-        battery_floor_frac: no shot below this charge, 0 to 1; 0 switches the guard off.
-        hover_s: how long a full battery keeps the vehicle in the air, for the check against the estimate; 0: unknown.
-        position_drift_m: how far from where the mission began (parallax), metres; twice that in height, which
-            satellites tell worse; infinity switches it off.
-        position_back_frac: it goes on when back within this fraction of that distance.
+        battery_floor_frac: no shot below this charge, 0 to 1; 0 disables the guard.
+        hover_s: hover time with a full battery, compared with the estimated duration; 0: unknown.
+        position_drift_m: largest horizontal distance from the mission's origin (parallax), metres; twice that
+            vertically, where GNSS is less accurate; infinity disables the guard.
+        position_back_frac: a position hold ends within this fraction of that distance.
         allowed_modes: flight modes (as the adapter names them) in which the mission may use the gimbal; empty = all.
-        attitude_silence_s: how long the gimbal may be silent.
-        clear_s: how long a cause must be gone before the mission goes on by itself.
-        position_hold: whether preflight asks for a good position and a vehicle in the air.
-        reclaim: what to do when another component takes the gimbal: ask for it back, or wait for the pilot.
-        reclaim_after_s: how long to leave it to the other one before asking.
+        attitude_silence_s: longest time without an attitude sample.
+        clear_s: how long the cause of a hold must be absent before the mission continues by itself.
+        position_hold: whether preflight requires a valid position and a vehicle in the air.
+        reclaim: what to do when another component takes the gimbal: request it back (`ask`), or wait for the pilot.
+        reclaim_after_s: delay before the request.
     """
 
     battery_floor_frac: Number = 0.25
@@ -47,31 +47,32 @@ class GuardSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionSettings:
-    """Everything that a mission decides by.
+    """All parameters of the executor.
 
     Attributes:
         tolerance: largest accepted pointing error of each gimbal axis.
-        settle_s: how long it must have been inside tolerance before the photo.
+        settle_s: how long the pose must have been inside tolerance before the photo.
         max_rate_deg_s: largest angular speed that counts as settled.
-        max_gap_s: longest silence of the attitude stream that still proves a pose.
-        patience_s: how long settling may take beyond the expected slew; doubles with each round.
-        attempts: photos or settle time-outs of a shot, one after the other, before it is put off.
+        max_gap_s: longest gap between attitude samples.
+        patience_s: settle timeout beyond the expected slew; doubles with each round.
+        attempts: consecutive failed attempts (photos or settle timeouts) before a shot is deferred.
         rounds: passes over the shots, the first included.
         exposure_s: the longest exposure.
-        latency_s: bound on the time from the trigger command to the opening of the shutter.
+        latency_s: upper bound of the shutter lag: from the trigger command to the opening of the shutter.
         interval_s: least time between two triggers.
-        brackets: photos of each pose.
-        min_evidence: what a photo must be proven by.
-        evidence_s: how long to wait for that proof, from the trigger.
-        pending: photos whose evidence may be outstanding when the next trigger goes out.
-        accept: `tolerance`: every sample inside tolerance; `overlap`: or the certificate holds as measured.
-        patches: rounds of patch shots for real holes at the end; 0 = none.
-        feedback: `auto`: judge by the attitude stream; `none`: there is none, poses are believed after the slew time.
-        gimbal: limits, rates and accelerations; limits that the gimbal states itself come first.
+        brackets: photos per pose.
+        min_evidence: least evidence that an accepted photo needs.
+        evidence_s: timeout for that evidence, from the trigger.
+        pending: photos whose evidence may be outstanding at the next trigger.
+        accept: `tolerance`: every sample must be inside tolerance; `overlap`: or the certificate holds with the
+            measured pose.
+        patches: rounds of patch shots for holes of the measured attitudes; 0 = none.
+        feedback: `auto`: judge by the attitude stream; `none`: there is no stream, poses are assumed after the slew.
+        gimbal: limits, rates and accelerations; limits that the gimbal reports take precedence.
         guards: see `GuardSettings`.
-        max_pause_s: a pause longer than this ends the mission (as failed: it can be resumed).
-        device_tries: how often a refused pointing command is repeated at once.
-        release_s: how long giving the gimbal back may take at the end.
+        max_pause_s: a longer pause ends the mission (as failed; it can be resumed).
+        device_tries: how often a refused pointing command is sent.
+        release_s: timeout for releasing the gimbal at the end.
     """
 
     tolerance: Tolerance
@@ -98,10 +99,10 @@ class MissionSettings:
     release_s: Number = 4.0
 
     def __post_init__(self) -> None:
-        """Refuse what no mission could be flown with.
+        """Validate the values.
 
         Raises:
-            UsageError: naming the setting, the value and what would be accepted.
+            UsageError: a value is out of range; the message names the setting, the value and the valid range.
         """
         positive = ("max_rate_deg_s", "max_gap_s", "patience_s", "evidence_s", "max_pause_s", "release_s")
         not_negative = ("settle_s", "exposure_s", "latency_s", "interval_s", "patches")
@@ -117,9 +118,9 @@ class MissionSettings:
         for axis in fields(Tolerance):
             value = getattr(self.tolerance, axis.name)
             if not value > 0:
-                raise UsageError(f"tolerance {axis.name} = {value!r}: must be more than 0, no gimbal is perfect")
+                raise UsageError(f"tolerance {axis.name} = {value!r}: must be more than 0")
 
     @property
     def exposure_bound_s(self) -> float:
-        """From the trigger command on the wire to the latest end of the exposure."""
+        """Seconds from the trigger command on the wire to the latest end of the exposure."""
         return self.latency_s + self.exposure_s

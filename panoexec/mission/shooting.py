@@ -1,4 +1,4 @@
-"""The loop over the shots: attempt, verdict, retake; evidence is awaited while the next slew is on its way."""
+"""The loop over the shots: attempt, verdict, retake. Evidence is awaited while the gimbal slews to the next shot."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from panoexec.mission.context import MissionContext
 from panoexec.mission.guard_monitor import GuardMonitor
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
-from panoexec.mission.overlap import overlaps_hold
 from panoexec.mission.pointing.gate import WindowVerdict
 from panoexec.mission.protocols import ReportsPhotos
 from panoexec.mission.shot_queue import Decision, Task
+from panoexec.mission.verifier import overlaps_hold
 from panoexec.mission.waiting import until
 
 
 class Shooting:
-    """Takes the shots of the queue until it is empty and all evidence is in, or the mission must leave."""
+    """Takes the queued shots until the queue is empty and all evidence has arrived, or shooting must end."""
 
-    def __init__(self, flight: MissionContext, holding: GuardMonitor, group: asyncio.TaskGroup) -> None:
-        self._flight = flight
-        self._holding = holding
+    def __init__(self, context: MissionContext, guard_monitor: GuardMonitor, group: asyncio.TaskGroup) -> None:
+        self._context = context
+        self._guard_monitor = guard_monitor
         self._group = group
         self._outstanding = 0
         self._proven = asyncio.Event()
@@ -35,50 +35,50 @@ class Shooting:
         self.began_s = math.nan
         """When the first slew began, on the mission's clock."""
         self.ended_s = math.nan
-        """When the last photo had its verdict."""
+        """When the last photo got its verdict."""
         self.shooter = Shooter(
-            gimbal=flight.gimbal,
-            camera=flight.camera,
-            clock=flight.clock,
-            settings=flight.settings,
-            reference_yaw_north_deg=flight.record.reference_yaw_north_deg,
-            open_loop=flight.settings.feedback == "none",
-            turner=flight.turner,
+            gimbal=context.gimbal,
+            camera=context.camera,
+            clock=context.clock,
+            settings=context.settings,
+            reference_yaw_north_deg=context.record.reference_yaw_north_deg,
+            open_loop=context.settings.feedback == "none",
+            heading_controller=context.heading_controller,
         )
 
     async def run(self) -> None:
-        """Shoot what is left, if anything is; the mission is capturing or paused on return, if it shot."""
-        flight, control = self._flight, self._flight.control
+        """Take the remaining shots, if any; afterwards the mission is capturing or paused if a shot was taken."""
+        context, requests = self._context, self._context.requests
         if math.isnan(self.began_s):
-            self.began_s = flight.clock.monotonic()
-        while not control.must_leave:
-            control.settled()
-            if flight.record.state is MissionState.CAPTURING:
-                self._holding.look()  # nothing moves on what was seen before the last wait
-            if control.holds:
-                await self._holding.hold()
-            elif not len(flight.queue) and not self._outstanding:
+            self.began_s = context.clock.monotonic()
+        while not requests.must_end_shooting:
+            requests.settled()
+            if context.record.state is MissionState.CAPTURING:
+                self._guard_monitor.look()  # conditions may have changed during the last wait
+            if requests.holds:
+                await self._guard_monitor.hold()
+            elif not len(context.queue) and not self._outstanding:
                 return
-            elif not len(flight.queue):
+            elif not len(context.queue):
                 self._proven.clear()
-                await until(control.changed.wait(), self._proven.wait(), "evidence")
-            elif flight.record.gimbal_held or await self._holding.acquire():
-                task = flight.queue.take()
+                await until(requests.changed.wait(), self._proven.wait(), "evidence")
+            elif context.record.gimbal_held or await self._guard_monitor.acquire():
+                task = context.queue.take()
                 assert task is not None
                 await self._attempt(task)
 
     async def evidence_in(self) -> None:
-        """Return when no photo waits for its evidence any more (each wait is bounded), or the mission must stop."""
-        while self._outstanding and self._flight.control.stop is None:
+        """Return when no photo awaits evidence any more (each wait has a timeout), or the mission must stop."""
+        while self._outstanding and self._context.requests.stop is None:
             self._proven.clear()
-            await until(self._flight.control.stopping.wait(), self._proven.wait(), "last evidence")
-        self.ended_s = self._flight.clock.monotonic()
+            await until(self._context.requests.stopping.wait(), self._proven.wait(), "last evidence")
+        self.ended_s = self._context.clock.monotonic()
 
     async def _attempt(self, task: Task) -> None:
-        flight = self._flight
-        record = flight.record.shots[task.shot]
+        context = self._context
+        record = context.record.shots[task.shot]
         shot, number = record.shot, len(record.attempts) + 1
-        patience_s = flight.settings.patience_s * 2**task.round
+        patience_s = context.settings.patience_s * 2**task.round
         started = ev.ShotStarted(
             shot=shot.index,
             attempt=number,
@@ -88,22 +88,26 @@ class Shooting:
             patience_s=patience_s,
         )
         self._keep(started)
-        # what devices log meanwhile, and the tasks that wait for this photo's evidence, carry its ids
+        # log entries of the devices, and of tasks that await this photo's evidence, carry its ids
         with structlog.contextvars.bound_contextvars(shot=shot.index, attempt=number):
             await self._take(task, number, patience_s)
 
     async def _take(self, task: Task, number: int, patience_s: float) -> None:
-        flight, control = self._flight, self._flight.control
-        shot = flight.record.shots[task.shot].shot
-        coming = [flight.record.shots[index].shot.yaw_deg for index in flight.queue.coming()] if flight.turner else []
+        context, requests = self._context, self._context.requests
+        shot = context.record.shots[task.shot].shot
+        coming = (
+            [context.record.shots[index].shot.yaw_deg for index in context.queue.coming()]
+            if context.heading_controller
+            else []
+        )
         approach = self.shooter.approach(shot, patience_s=patience_s, clear=self._blocker, coming_yaw_deg=coming)
-        done, result = await until(control.interrupt.wait(), approach, f"shot {shot.index}")
-        if not done or result is None or (control.interrupt.is_set() and isinstance(result, Settled)):
+        done, result = await until(requests.interrupt.wait(), approach, f"shot {shot.index}")
+        if not done or result is None or (requests.interrupt.is_set() and isinstance(result, Settled)):
             self._interrupted(shot.index, number)
             return
         exposure: Exposure | NotSettled
         if isinstance(result, Settled):
-            exposure = await self.shooter.expose(shot, result, interrupt=control.interrupt)
+            exposure = await self.shooter.expose(shot, result, interrupt=requests.interrupt)
         else:
             exposure = result
         if isinstance(exposure, NotSettled):
@@ -146,8 +150,8 @@ class Shooting:
         self._group.create_task(self._identify(shot, number, photos, exposure.captures), name=f"photo of {shot}")
 
     def _may_overlap(self, verdict: WindowVerdict) -> bool:
-        """Whether an exposure outside tolerance is sharp and measured, so that the certificate may still take it."""
-        settings = self._flight.settings
+        """Whether an exposure outside tolerance is sharp and measured, so that the overlaps may still accept it."""
+        settings = self._context.settings
         sharp = verdict.spread_deg <= settings.max_rate_deg_s * settings.exposure_bound_s
         return settings.accept == "overlap" and verdict.code == "pointing" and sharp
 
@@ -173,7 +177,7 @@ class Shooting:
             if level < settings.min_evidence:
                 reason = (
                     f"the photo is only {level.name.lower()} after {settings.evidence_s:g} s,"
-                    f" {settings.min_evidence.name.lower()} is asked for"
+                    f" {settings.min_evidence.name.lower()} is required"
                 )
                 self._reject(shot, number, "evidence", reason, proven)
             elif code:
@@ -183,8 +187,8 @@ class Shooting:
                 self._reject(shot, number, verdict.code, reason, proven)
             else:
                 self._keep(ev.ShotAccepted(shot=shot, attempt=number, photos=proven, by=by))
-                self._flight.control.skips.discard(shot)
-                self._flight.pace.accepted(self._flight.clock.monotonic())
+                self._context.requests.skips.discard(shot)
+                self._context.eta.accepted(self._context.clock.monotonic())
         finally:
             self._outstanding -= 1
             self._proven.set()
@@ -214,27 +218,27 @@ class Shooting:
     async def _identify(
         self, shot: int, number: int, photos: Sequence[ev.Photo], captures: Sequence[PendingCapture]
     ) -> None:
-        """Learn the file names of photos whose verdict is known; nothing waits for it."""
+        """Get the file names of photos that already have a verdict; nothing waits for this."""
         if evidence.weakest(photos) >= EvidenceLevel.CAPTURE_MESSAGE:
             return
-        level, timeout_s = EvidenceLevel.CAPTURE_MESSAGE, self._flight.settings.evidence_s
+        level, timeout_s = EvidenceLevel.CAPTURE_MESSAGE, self._context.settings.evidence_s
         better = await evidence.gather(photos, captures, at_least=level, timeout_s=timeout_s)
         await self._learn_lag(captures)
         if better != tuple(photos):
-            self._flight.recorder.emit(ev.PhotoIdentified(shot=shot, attempt=number, photos=better))
+            self._context.recorder.emit(ev.PhotoIdentified(shot=shot, attempt=number, photos=better))
 
     def _interrupted(self, shot: int, number: int) -> None:
-        control = self._flight.control
-        why = "skipped" if shot in control.skips else "finishing" if control.must_leave else "paused"
+        requests = self._context.requests
+        why = "skipped" if shot in requests.skips else "finishing" if requests.must_end_shooting else "paused"
         self._keep(ev.ShotInterrupted(shot=shot, attempt=number, reason=why))
         if not self._skipped(shot, number):
-            self._flight.queue.put_back(shot)
+            self._context.queue.put_back(shot)
 
     def _reject(self, shot: int, number: int, code: str, reason: str, photos: Sequence[ev.Photo]) -> None:
         self._keep(ev.ShotRejected(shot=shot, attempt=number, code=code, reason=reason, photos=tuple(photos)))
         if self._skipped(shot, number):
             return
-        emit, queue = self._flight.recorder.emit, self._flight.queue
+        emit, queue = self._context.recorder.emit, self._context.queue
         match queue.rejected(shot):
             case Decision.AT_ONCE:
                 emit(ev.ShotRetaken(shot=shot, attempt=number + 1, reason=reason))
@@ -244,24 +248,24 @@ class Shooting:
                 emit(ev.ShotMissed(shot=shot, attempt=number, reason=reason))
 
     def _skipped(self, shot: int, number: int) -> bool:
-        control = self._flight.control
-        if shot not in control.skips:
+        requests = self._context.requests
+        if shot not in requests.skips:
             return False
-        control.skips.discard(shot)
-        self._flight.queue.drop(shot)
-        self._flight.recorder.emit(ev.ShotSkipped(shot=shot, attempt=number, reason="skipped by command"))
+        requests.skips.discard(shot)
+        self._context.queue.drop(shot)
+        self._context.recorder.emit(ev.ShotSkipped(shot=shot, attempt=number, reason="skipped by command"))
         return True
 
     def _keep(self, event: ev.Event) -> None:
-        """Emit an event that must be on disk before the next photo."""
-        self._must_keep_seq = self._flight.recorder.emit(event).seq
+        """Emit an event that must be on disk before the next trigger."""
+        self._must_keep_seq = self._context.recorder.emit(event).seq
 
     def _blocker(self) -> asyncio.Event | None:
-        """What the next trigger must wait for: the journal, or the evidence of the photos before."""
-        blocker = self._flight.recorder.blocker(self._must_keep_seq)
+        """What blocks the next trigger: the journal, or outstanding evidence of earlier photos; None: nothing."""
+        blocker = self._context.recorder.blocker(self._must_keep_seq)
         if blocker is not None:
             return blocker
-        if self._outstanding >= self._flight.settings.pending:
+        if self._outstanding >= self._context.settings.pending:
             self._proven.clear()
             return self._proven
         return None

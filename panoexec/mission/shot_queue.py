@@ -1,4 +1,4 @@
-"""Which shot comes next: retakes at once, then later after the others, until the attempts are used up. Pure logic."""
+"""Order of the shots: retakes at once, then after the other shots, until the attempts are used up. Pure logic."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from enum import StrEnum
 
 
 class Decision(StrEnum):
-    """What becomes of a shot whose attempt was rejected."""
+    """What happens to a shot after a rejected attempt."""
 
     AT_ONCE = "at_once"
     LATER = "later"
@@ -18,17 +18,18 @@ class Decision(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A shot to try now, in this round over the shots (0 = the first)."""
+    """The shot to take now, and its round (0 = the first pass)."""
 
     shot: int
     round: int
 
 
 class ShotQueue:
-    """Hands out shots; each is in it once at most.
+    """The queue of shots; holds each shot at most once.
 
     Args:
-        attempts: tries of a shot within a round before it is put off.
+        shots: indices in shooting order.
+        attempts: attempts at a shot within a round before it is deferred.
         rounds: passes over the shots, the first included.
     """
 
@@ -41,7 +42,7 @@ class ShotQueue:
         self._round_of: dict[int, int] = {}
 
     def take(self) -> Task | None:
-        """The next shot; None when nothing is left but what is out for its evidence."""
+        """Remove and return the next shot; None if the queue is empty."""
         if not self._now:
             self._now, self._later = self._later, deque()
         if not self._now:
@@ -50,16 +51,16 @@ class ShotQueue:
         return Task(shot, self._round_of.get(shot, 0))
 
     def coming(self) -> Iterator[int]:
-        """The shots after the one that is out, in the order in which they come if all goes well."""
+        """The next shots of this round, in order."""
         yield from self._now
 
     def put_back(self, shot: int) -> None:
-        """It was interrupted: first again, and nothing counted."""
+        """Put an interrupted shot first; the attempt does not count."""
         self.drop(shot)
         self._now.appendleft(shot)
 
     def rejected(self, shot: int) -> Decision:
-        """It failed once more: again at once, after the others, or never."""
+        """Count a failed attempt and decide when the shot is taken again, if at all."""
         self.drop(shot)
         tried = self._tried.get(shot, 0) + 1
         self._tried[shot] = tried
@@ -74,24 +75,24 @@ class ShotQueue:
         return Decision.GIVE_UP
 
     def round_of(self, shot: int) -> int:
-        """The round in which the shot comes next."""
+        """The round of the shot's next attempt."""
         return self._round_of.get(shot, 0)
 
     def drop(self, shot: int) -> None:
-        """It is not wanted any more (skipped)."""
+        """Remove a shot, if it is queued."""
         for line in (self._now, self._later):
             if shot in line:
                 line.remove(shot)
 
     def add(self, shot: int) -> None:
-        """Take it (again) after the others of this round, with all its attempts (a repeat, a patch)."""
+        """Append a shot to this round with all its attempts (a repeat, a patch)."""
         self.drop(shot)
         self._tried.pop(shot, None)
         self._round_of.pop(shot, None)
         self._now.append(shot)
 
     def clear(self) -> None:
-        """Nothing more is wanted."""
+        """Remove all shots."""
         self._now.clear()
         self._later.clear()
 

@@ -1,4 +1,4 @@
-"""Waiting with a bound, on the mission's clock, without ever leaving a task behind."""
+"""Waits with a timeout on the mission's clock that never leave a task behind."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ async def until(stop: Coroutine[Any, Any, object], work: Coroutine[Any, Any, T],
     except BaseExceptionGroup as failures:
         raise first_failure(failures) from None
     if working.done() and not working.cancelled() and working.exception() is None:
-        return True, working.result()  # it was done in the moment of its cancellation
+        return True, working.result()  # it finished while it was being cancelled
     return False, None
 
 
-async def unbroken(task: asyncio.Task[T]) -> T:
-    """The result of a task that must come to its end: a cancellation is obeyed only after it.
+async def uncancelled(task: asyncio.Task[T]) -> T:
+    """The result of a task that must finish: a cancellation takes effect only afterwards.
 
-    For bounded work alone: giving the gimbal back, the last write of the journal.
+    Only for work with a timeout: releasing the gimbal, the last write of the journal.
     """
     cancelled: asyncio.CancelledError | None = None
     while not task.done():

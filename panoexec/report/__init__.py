@@ -16,10 +16,10 @@ from panoexec.report.panorama import best_picture
 from panoexec.report.source import PhotoFile, read_source
 from panoexec.store.directory import MissionDirectory
 
-__all__ = ["AT_ONCE_S", "Report", "write_report"]
+__all__ = ["QUICK_LOOK_CPU_S", "Report", "write_report"]
 
-AT_ONCE_S: Final = 1.5
-"""Processor time that the quick look may take when a mission ends; asked for by hand, it takes its time."""
+QUICK_LOOK_CPU_S: Final = 1.5
+"""CPU time limit of the quick look at the end of a mission; reports made by command have no limit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,10 +29,10 @@ class Report:
     Attributes:
         path: the page.
         photos: accepted photos.
-        problems: those that are missing or damaged, with the shot's index.
+        problems: photos that are missing or damaged, with the shot's index.
         panorama: `stitched`, `quick` or "" for none.
-        why_none: why there is no picture of the sphere.
-        notes: what of the mission could not be read.
+        why_none: why there is no panorama.
+        notes: files that could not be read.
     """
 
     path: Path
@@ -43,21 +43,21 @@ class Report:
     notes: tuple[str, ...]
 
 
-def write_report(directory: MissionDirectory, *, patience_s: float = math.inf) -> Report:
+def write_report(directory: MissionDirectory, *, max_cpu_s: float = math.inf) -> Report:
     """Write `report.html` into a mission's directory; blocks.
 
     Args:
-        directory: with a manifest; the mission may be under way, interrupted or over.
-        patience_s: processor time that the quick look at the photos may take; else the page goes without.
+        directory: with a manifest; the mission may be running, interrupted or finished.
+        max_cpu_s: CPU time limit of the quick look; if it takes longer, the page has no panorama.
 
     Raises:
-        InputFileError: the manifest is not there, or damaged.
+        InputFileError: the manifest is missing or damaged.
         UsageError: the page cannot be written.
     """
     try:
         source = read_source(directory)
         data = page_data(source, made_utc_s=time.time())
-        picture, why_none = best_picture(source, patience_s=patience_s)
+        picture, why_none = best_picture(source, max_cpu_s=max_cpu_s)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, ArithmeticError) as error:
         where = f"{type(error).__name__}: {error}"
         raise InputFileError(str(directory.manifest), [f"is damaged or incomplete ({where})"]) from error

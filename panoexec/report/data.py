@@ -1,4 +1,4 @@
-"""What the page shows, as one JSON document: figures only, rounded to what can be told apart; the page draws them."""
+"""The data of the page as one JSON document, rounded to the displayed precision; the page's scripts draw it."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def page_data(source: Source, *, made_utc_s: float) -> dict[str, Any]:
 
     Args:
         source: the mission.
-        made_utc_s: when the page is made.
+        made_utc_s: time of the report.
 
     Raises:
-        KeyError, TypeError, ValueError, ArithmeticError: the manifest lacks what every manifest has.
+        KeyError, TypeError, ValueError, ArithmeticError: the manifest is incomplete or invalid.
     """
     manifest = source.manifest
     times = timeline(source)
@@ -75,7 +75,7 @@ def page_data(source: Source, *, made_utc_s: float) -> dict[str, Any]:
 
 
 def _planned_tolerance(source: Source) -> dict[str, float]:
-    """For manifests of others, which need not say."""
+    """The plan's tolerance, for manifests of other programs without one."""
     if source.plan is None or source.plan.constraints is None:
         raise KeyError("tolerance_deg")
     planned = source.plan.constraints.tolerance
@@ -146,7 +146,7 @@ def _timeline(times: Timeline, source: Source) -> dict[str, Any]:
 def _photo(photo: PhotoFile | None) -> dict[str, Any] | None:
     if photo is None:
         return None
-    # only what lies in the mission directory is linked to; a name is not trusted to be a harmless address
+    # only files in the mission directory are linked; a name is quoted because it may contain anything
     href = None if photo.problem else quote(photo.name, safe="/")
     return {"name": photo.name, "href": None if href is None else f"./{href}", "problem": photo.problem}
 
@@ -171,7 +171,7 @@ def _band(source: Source) -> dict[str, Any]:
 
 
 def _counts(shots: list[dict[str, Any]]) -> dict[str, Any]:
-    """For manifests of others, which need not count."""
+    """Counts for manifests of other programs without them."""
     attempts = sum(len(shot["attempts"]) for shot in shots)
     done = [shot for shot in shots if shot["accepted"]]
     missing = [shot["i"] for shot in shots if not shot["accepted"]]

@@ -1,6 +1,6 @@
-"""What a mission leaves in its directory for others, written at each end: by the daemon and the dry-run alike.
+"""The outputs of a mission, written at its end by the daemon and the dry-run: exports and report.
 
-The manifest is there already; from it and the photos beside it everything here can be made anew at any time.
+They are derived from the manifest and the photos, and can be written again at any time.
 """
 
 from __future__ import annotations
@@ -10,21 +10,21 @@ from typing import Final
 
 from panoexec.errors import InputFileError, PanoexecError, UsageError
 from panoexec.exports import export_set, write_exports
-from panoexec.report import AT_ONCE_S, write_report
+from panoexec.report import QUICK_LOOK_CPU_S, write_report
 from panoexec.store.directory import MissionDirectory
 from panoexec.store.manifest import read_manifest
 
 
 def write_mission_outputs(directory: MissionDirectory) -> None:
-    """Write all of them; what cannot be written does not keep the others from being written.
+    """Write all outputs; a failure of one does not prevent the others.
 
-    Blocks: use it in a thread. Missions that were interrupted leave them too, of what there is.
+    Blocks: call it in a thread. Also used for interrupted missions, with the data so far.
 
     Args:
         directory: with a manifest.
 
     Raises:
-        UsageError: with everything that could not be written, or because the manifest is not there or is damaged.
+        UsageError: lists all outputs that could not be written; or the manifest is missing or damaged.
     """
     problems: list[str] = []
     for name, write in MISSION_OUTPUTS.items():
@@ -39,14 +39,14 @@ def write_mission_outputs(directory: MissionDirectory) -> None:
 
 
 def _exports(directory: MissionDirectory) -> None:
-    """Hugin project, Papywizard file, table, sidecars."""
+    """Hugin project, Papywizard file, CSV table, XMP sidecars."""
     write_exports(export_set(read_manifest(directory.manifest), directory.path), directory.path)
 
 
 def _report(directory: MissionDirectory) -> None:
-    """The page for people."""
-    write_report(directory, patience_s=AT_ONCE_S)
+    """The HTML report."""
+    write_report(directory, max_cpu_s=QUICK_LOOK_CPU_S)
 
 
 MISSION_OUTPUTS: Final[Mapping[str, Callable[[MissionDirectory], None]]] = {"exports": _exports, "report": _report}
-"""Each by a name for messages; a writer raises a PanoexecError if it cannot."""
+"""The writers by name (for messages); a writer raises a PanoexecError on failure."""

@@ -1,7 +1,7 @@
-"""The page itself: one HTML file with its data, pictures, styles and scripts inside; nothing is fetched.
+"""The HTML page: one file with its data, images, styles and scripts embedded; it loads nothing.
 
-All texts of the mission travel in a block of JSON whose `<`, `>` and `&` are escaped, and the scripts put them on the
-page as text, never as markup. A content security policy with the scripts' digests keeps anything else from running.
+All texts of the mission are in a JSON block whose `<`, `>` and `&` are escaped, and the scripts insert them as text,
+never as markup. A content security policy with the scripts' digests prevents other scripts from running.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ def render_page(data: Mapping[str, Any], panorama: Panorama | None) -> str:
     """The HTML.
 
     Args:
-        data: from `page_data`; with key `panorama` told what the picture is.
-        panorama: the picture of the sphere, if there is one.
+        data: from `page_data`, with the key `panorama` that describes the picture.
+        panorama: the panorama, if there is one.
     """
     scripts = [asset(name) for name in ((*_VIEWER_SCRIPTS, *_SCRIPTS) if panorama else _SCRIPTS)]
     styles = asset("report.css") + (_viewer_styles() if panorama else "")
@@ -47,12 +47,12 @@ def render_page(data: Mapping[str, Any], panorama: Panorama | None) -> str:
         "picture": _picture(panorama),
         "scripts": "\n".join(f"<script>{script}</script>" for script in scripts),
     }
-    # one pass: what is put in is never looked through for place-holders
+    # one pass: inserted text is not searched for placeholders
     return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], asset("page.html"))
 
 
 def embedded_json(data: object) -> str:
-    """JSON that can stand inside a script element, whatever texts are in it."""
+    """JSON that is safe inside a script element."""
     text = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     for character in "<>&\u2028\u2029":
         text = text.replace(character, f"\\u{ord(character):04x}")
@@ -61,12 +61,12 @@ def embedded_json(data: object) -> str:
 
 @cache
 def asset(name: str) -> str:
-    """A text file of the package's assets; a script's end tag inside one would end it."""
+    """A text file of the package's assets; it must not contain a script end tag."""
     return (files("panoexec.report") / "assets" / name).read_text(encoding="utf-8")
 
 
 def _digest(script: str) -> str:
-    # a browser takes the digest of the text after its newlines were normalised
+    # browsers compute the digest after normalising newlines
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
@@ -79,7 +79,7 @@ def _picture(panorama: Panorama | None) -> str:
 
 @cache
 def _viewer_styles() -> str:
-    """The viewer's styles with their pictures inside."""
+    """The viewer's styles with embedded images."""
 
     def inline(match: re.Match[str]) -> str:
         coded = base64.b64encode(asset(f"pannellum/{match[1]}").encode()).decode()

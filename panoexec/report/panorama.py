@@ -1,7 +1,7 @@
-"""The picture of the whole sphere that a report shows: the stitched one, else a quick look made on the spot.
+"""The panorama in a report: the stitched one, else a quick look.
 
-The quick look puts each accepted photo where its measured attitude says, feathered, without any search for control
-points: seams show, holes show, and no tool but Pillow is needed.
+The quick look projects each accepted photo by its measured attitude and blends it by feathering, without control
+points: seams and holes are visible, and only Pillow is required.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from panoexec.report.source import Source
 
 QUICK_WIDTH_PX: Final = 2048
 STITCHED_WIDTH_PX: Final = 4096
-_AS_IT_IS_BYTES: Final = 4 << 20
-"""A stitched preview up to this size is embedded unchanged where there is no Pillow to make it smaller."""
-_WARM: Final = 2
-"""Photos before the time of a quick look is worked out; the first ones are slower."""
+_UNCHANGED_MAX_BYTES: Final = 4 << 20
+"""Without Pillow, a stitched preview up to this size is embedded unchanged."""
+_WARM_UP_PHOTOS: Final = 2
+"""Number of photos before the duration of a quick look is estimated; the first ones are slower."""
 _EMPTY: Final = (30, 33, 39)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panorama:
-    """An equirectangular JPEG of the whole sphere, its middle at the plan's yaw 0.
+    """An equirectangular JPEG of the whole sphere, with the plan's yaw 0 at its centre.
 
     Attributes:
         jpeg: the file's content.
-        kind: `stitched`, or the `quick` look.
+        kind: `stitched` or `quick` (quick look).
         left_out: photos of a quick look that could not be read.
     """
 
@@ -43,34 +43,34 @@ class Panorama:
     left_out: tuple[str, ...] = ()
 
 
-def best_picture(source: Source, *, patience_s: float = math.inf) -> tuple[Panorama | None, str]:
-    """The best picture there is, and if there is none, why.
+def best_picture(source: Source, *, max_cpu_s: float = math.inf) -> tuple[Panorama | None, str]:
+    """The best available panorama, or None and the reason.
 
     Args:
         source: the mission.
-        patience_s: how much processor time a quick look may take; one that would take longer is given up.
+        max_cpu_s: CPU time limit of a quick look; one that is expected to take longer is aborted.
     """
     try:
         import PIL.Image  # noqa: F401, PLC0415 - optional dependency
     except ImportError:
-        return _stitched_as_it_is(source), f"needs Pillow: {to_install('report')}, then `panoexec report`"
+        return _stitched_unchanged(source), f"needs Pillow: {to_install('report')}, then `panoexec report`"
     stitched = _stitched(source)
     if stitched is not None:
         return stitched, ""
-    return _quick_look(source, patience_s)
+    return _quick_look(source, max_cpu_s)
 
 
 def _stitched_path(source: Source) -> Path | None:
     if source.stitch is None:
         return None
-    # a bare name: what stitch.json says must not lead anywhere else
+    # only the base name: stitch.json must not refer to another directory
     path = source.folder / "stitch" / Path(str(source.stitch.get("preview", "panorama.jpg"))).name
     return path if path.is_file() else None
 
 
-def _stitched_as_it_is(source: Source) -> Panorama | None:
+def _stitched_unchanged(source: Source) -> Panorama | None:
     path = _stitched_path(source)
-    if path is None or path.stat().st_size > _AS_IT_IS_BYTES:
+    if path is None or path.stat().st_size > _UNCHANGED_MAX_BYTES:
         return None
     return Panorama(jpeg=path.read_bytes(), kind="stitched")
 
@@ -92,13 +92,13 @@ def _stitched(source: Source) -> Panorama | None:
     return Panorama(jpeg=_encoded(small), kind="stitched")
 
 
-def _quick_look(source: Source, patience_s: float) -> tuple[Panorama | None, str]:
+def _quick_look(source: Source, max_cpu_s: float) -> tuple[Panorama | None, str]:
     shots = [shot for shot in _poses(source) if not source.photos[shot[0]].problem]
     if not shots:
-        return None, "there are no photos to look at"
+        return None, "there are no usable photos"
     canvas = _Canvas(source.manifest["camera"], QUICK_WIDTH_PX)
     left_out: list[str] = []
-    # of this thread's work alone: a busy computer is no reason to go without
+    # CPU time of this thread only, so that other load does not matter
     started = time.thread_time()
     for done, (index, pose) in enumerate(shots):
         name = source.photos[index].name
@@ -107,15 +107,15 @@ def _quick_look(source: Source, patience_s: float) -> tuple[Panorama | None, str
         except (OSError, SyntaxError, ValueError):
             left_out.append(name)
         expected_s = (time.thread_time() - started) / (done + 1) * len(shots)
-        if expected_s > patience_s and _WARM <= done < len(shots) / 2:
-            return None, "the photos are too large to be looked through at once: run `panoexec report`, or stitch"
+        if expected_s > max_cpu_s and _WARM_UP_PHOTOS <= done < len(shots) / 2:
+            return None, "the photos are too large for a quick look now: run `panoexec report` or `panoexec stitch`"
     if len(left_out) == len(shots):
-        return None, "no photo can be read"
+        return None, "no photo could be read"
     return Panorama(jpeg=canvas.jpeg(), kind="quick", left_out=tuple(left_out)), ""
 
 
 def _poses(source: Source) -> list[tuple[int, FloatArray]]:
-    """Index and attitude (3, 3) of each accepted shot: measured, else as planned."""
+    """Index and attitude (3, 3) of each accepted shot: measured, else planned."""
     found = []
     for shot in source.manifest["shots"]:
         attempt = next((a for a in shot["attempts"] if a["number"] == shot.get("accepted_attempt")), None)
@@ -126,7 +126,7 @@ def _poses(source: Source) -> list[tuple[int, FloatArray]]:
 
 
 class _Canvas:
-    """Photos added up on an equirectangular picture, each weighed by how deep inside it a direction is."""
+    """Blends photos on an equirectangular canvas; a pixel's weight falls towards the photo's border."""
 
     def __init__(self, camera: dict[str, Any], width_px: int) -> None:
         self._half_width = float(camera["sensor_width_mm"]) / (2 * float(camera["focal_length_mm"]))
@@ -155,7 +155,7 @@ class _Canvas:
         inside = np.flatnonzero((x > 0) & (np.abs(across) < 1) & (np.abs(along) < 1))
         across, along = across.ravel()[inside], along.ravel()[inside]
         height, width = picture.shape[:2]
-        # just inside the border may round to the border
+        # positions just inside the border may round to the border
         row = np.minimum(((along + 1) / 2 * height).astype(np.intp), height - 1)
         column = np.minimum(((across + 1) / 2 * width).astype(np.intp), width - 1)
         pixels = picture[row, column]
@@ -165,7 +165,7 @@ class _Canvas:
         self._weight[target] += weight
 
     def jpeg(self) -> bytes:
-        """The picture so far."""
+        """The canvas as JPEG."""
         import PIL.Image  # noqa: PLC0415 - optional dependency
 
         out = (self._sum / np.maximum(self._weight, np.float32(1e-12))[..., None] + np.float32(0.5)).astype(np.uint8)
@@ -173,7 +173,7 @@ class _Canvas:
         return _encoded(PIL.Image.fromarray(out))
 
     def _read(self, path: Path) -> np.ndarray[Any, np.dtype[np.uint8]]:
-        """A photo, upright, about as fine as the canvas."""
+        """A photo, upright, at about the resolution of the canvas."""
         import PIL.Image  # noqa: PLC0415 - optional dependency
         import PIL.ImageOps  # noqa: PLC0415 - optional dependency
 
@@ -184,7 +184,7 @@ class _Canvas:
             return np.asarray(upright.convert("RGB"))
 
     def _window(self, pose: FloatArray) -> tuple[np.ndarray[Any, np.dtype[np.intp]], np.ndarray[Any, Any]]:
-        """Rows and columns of the canvas that the photo may reach."""
+        """Rows and columns of the canvas that the photo may cover."""
         reach = math.atan(math.hypot(self._half_width, self._half_height))
         level = math.asin(max(-1.0, min(1.0, -float(pose[2, 0]))))
         rows = np.flatnonzero(np.abs(self._elevation - level) <= reach)

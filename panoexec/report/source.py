@@ -1,4 +1,4 @@
-"""What a report is made from: manifest, plan, journal, photos and stitching result of one mission directory."""
+"""The input of a report: manifest, plan, journal, photos and stitching result of one mission directory."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class PhotoFile:
     """A photo that the manifest names.
 
     Attributes:
-        name: as it lies, or should lie, in the mission directory; "" if nobody named it.
-        problem: why it cannot be used, "" if it can.
+        name: path in the mission directory; "" if unknown.
+        problem: why the photo is unusable, "" if it is usable.
     """
 
     name: str
@@ -35,18 +35,18 @@ class PhotoFile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
-    """Everything that is known of a mission.
+    """The data of a mission.
 
     Attributes:
         folder: its directory.
         manifest: `panoexec.manifest/1`.
-        plan: as asked for; None if there is none, or it cannot be read.
-        settings: as flown; None without a journal.
+        plan: the plan; None if it is missing or cannot be read.
+        settings: the mission's settings; None without a journal.
         events: of the journal; empty without one.
-        simulated: whether the seconds are a simulated vehicle's, not those of wall time.
+        simulated: whether times are those of a simulated vehicle, not wall time.
         photos: by shot index, of the accepted attempt.
         stitch: `panoexec.stitch/1` if the mission was stitched.
-        notes: what could not be read, for people.
+        notes: texts about files that could not be read.
     """
 
     folder: Path
@@ -66,10 +66,10 @@ class Source:
 
 
 def read_source(directory: MissionDirectory) -> Source:
-    """Read a mission's directory; only the manifest must be there and sound.
+    """Read a mission's directory; only the manifest is required.
 
     Raises:
-        InputFileError: the manifest is not there, or damaged.
+        InputFileError: the manifest is missing or damaged.
     """
     manifest = read_manifest(directory.manifest)
     notes: list[str] = []
@@ -78,14 +78,14 @@ def read_source(directory: MissionDirectory) -> Source:
     try:
         plan = read_plan_file(directory.plan)
     except UsageError as error:
-        notes.append(f"without the plan's constraints: {error}")
+        notes.append(f"the plan's constraints are missing: {error}")
     try:
         head, found = read_journal(directory.journal)
         events = tuple(found)
         settings = decode(MissionSettings, json.loads(head["settings"]))
         simulated = "simulation" in json.loads(head.get("extra", "{}"))
     except (UsageError, KeyError, TypeError, ValueError) as error:
-        notes.append(f"without the journal's times: {error}")
+        notes.append(f"the journal's times are missing: {error}")
     return Source(
         folder=directory.path,
         manifest=manifest,
@@ -109,7 +109,7 @@ def _photos(manifest: Mapping[str, Any], folder: Path) -> dict[int, PhotoFile]:
 
 def _photo(name: str, folder: Path) -> PhotoFile:
     if not name:
-        return PhotoFile(name="", problem="nobody named its file")
+        return PhotoFile(name="", problem="has no known file name")
     path = folder / name
     if not path.is_file():
         return PhotoFile(name=name, problem="is missing")

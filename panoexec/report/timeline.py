@@ -1,9 +1,9 @@
-"""Where a mission's time went, attempt by attempt, beside the physical limit.
+"""The time of a mission by attempt and phase, compared with the physical limit.
 
-What is measured: when an attempt began, when everything that the trigger waited for was there, when the exposure was
-over (journal). How the time before the trigger splits is worked out from the least slew that the gimbal's rates and
-accelerations allow: the slew is that time; where the camera's interval was the last to end, settling took the settle
-time and the rest is waiting for the camera; else all the rest is settling.
+Measured times (journal): the start of an attempt, when the last condition for the trigger was met, the end of the
+exposure. The time before the trigger is split by computation: the slew is the least time that the gimbal's rates and
+accelerations allow. If the camera's interval was the last condition, settling took the settle time and the rest is
+waiting for the camera; else all the rest is settling.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from panoexec.planning.model import GimbalLimits, Shot
 from panoexec.planning.order.duration import slew_time_s
 from panoexec.report.source import Source
 
-_INTERVAL_RULES_S: Final = 0.15
-"""A trigger this soon after the camera was ready again waited for the camera."""
+_WAITED_FOR_CAMERA_S: Final = 0.15
+"""If the trigger followed the end of the camera's interval within this time, it had waited for the camera."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttemptTimes:
-    """One attempt, seconds of the mission.
+    """The times of one attempt, seconds of the mission.
 
     Attributes:
-        shot, number: which.
-        start_s: since the first attempt began, without the time that no process flew.
-        slew_s, settle_s, wait_s, expose_s: phases one after the other from there.
+        shot, number: shot index and attempt number.
+        start_s: since the start of the first attempt, without the time between processes.
+        slew_s, settle_s, wait_s, expose_s: durations of the consecutive phases.
         after_s: from the exposure's end to the next attempt (evidence, pauses), 0 for the last.
         paused_s: part of `after_s` in which the mission was paused.
-        limit_s: the least time that the shot needs after the one before; 0 for a retake.
+        limit_s: the physical limit: least time from the previous shot; 0 for a retake.
     """
 
     shot: int
@@ -51,20 +51,20 @@ class AttemptTimes:
 
     @property
     def end_s(self) -> float:
-        """When the exposure was over."""
+        """When the exposure ended."""
         return self.start_s + self.slew_s + self.settle_s + self.wait_s + self.expose_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Timeline:
-    """All attempts in the order begun.
+    """All attempts in the order of their starts.
 
     Attributes:
         attempts: their times.
         duration_s: from the first slew to the last exposure's end.
-        limit_s: the physical limit for the same shots in the same order; NaN if not known.
-        lived_s: from the mission's first event to its last, without the time that no process flew; NaN if not known.
-        pace: seconds of the mission's clock in a second of wall time: not 1 in a dry-run that was sped up.
+        limit_s: the physical limit for the same shots in the same order; NaN if unknown.
+        lived_s: from the mission's first event to its last, without the time between processes; NaN if unknown.
+        pace: seconds of the mission's clock per second of wall time; above 1 in an accelerated dry-run.
     """
 
     attempts: tuple[AttemptTimes, ...]
@@ -83,7 +83,7 @@ class _Begun:
 
 
 def timeline(source: Source) -> Timeline:
-    """Work it out from the manifest, with the journal's times where there is one."""
+    """Compute the timeline from the manifest, with the journal's times if available."""
     axis = _Axis(source)
     begun = sorted(
         (
@@ -120,13 +120,13 @@ def _times(  # noqa: PLR0917  (private)
     axis: _Axis,
     settings: MissionSettings | None,
 ) -> tuple[AttemptTimes, float]:
-    """One attempt on the axis, and when the camera is ready again."""
+    """The times of one attempt, and when the camera is ready again."""
     settle_least_s = settings.settle_s if settings else 0.3
     exposed = item.entry.get("slew_settle_s")
     ended = axis.ended.get((item.shot, item.number))
     until_s = following if following is not None else math.inf
     if exposed is None:
-        # it never came to a photo: all of it was pointing
+        # no photo: the whole attempt was pointing
         to_trigger_s = max(0.0, min(until_s, ended if ended is not None else until_s) - item.start_s)
         to_trigger_s = to_trigger_s if math.isfinite(to_trigger_s) else 0.0
         expose_s, trigger_s = 0.0, math.nan
@@ -137,7 +137,7 @@ def _times(  # noqa: PLR0917  (private)
         expose_s = max(0.0, min(over_s, until_s) - item.start_s - to_trigger_s)
     slew_s = min(to_trigger_s, _slew_s(item, before, settings, to_trigger_s - settle_least_s))
     rest_s = to_trigger_s - slew_s
-    waited = abs(item.start_s + to_trigger_s - ready_s) < _INTERVAL_RULES_S
+    waited = abs(item.start_s + to_trigger_s - ready_s) < _WAITED_FOR_CAMERA_S
     wait_s = max(0.0, rest_s - settle_least_s) if waited else 0.0
     end_s = item.start_s + to_trigger_s + expose_s
     after_s = max(0.0, until_s - end_s) if math.isfinite(until_s) else 0.0
@@ -166,7 +166,7 @@ def _moved(times: AttemptTimes, origin_s: float, limit_s: float) -> AttemptTimes
 
 
 def _slew_s(item: _Begun, before: _Begun | None, settings: MissionSettings | None, first_s: float) -> float:
-    """The least time of the slew to an attempt; where the gimbal was before the first one is not known."""
+    """The least time of the slew to an attempt; `first_s` for the first one, whose start pose is unknown."""
     if before is None:
         return max(0.0, first_s)
     here, there = item.entry["target"], before.entry["target"]
@@ -180,7 +180,7 @@ def _slew_s(item: _Begun, before: _Begun | None, settings: MissionSettings | Non
 
 
 def _limits(begun: Sequence[_Begun], settings: MissionSettings | None) -> dict[tuple[int, int], float]:
-    """The least time of each shot by its first attempt; the first slew is taken as it was."""
+    """The physical limit of each shot, by its first attempt; the first slew counts as measured."""
     if settings is None:
         return {}
     first: dict[int, _Begun] = {}
@@ -203,11 +203,11 @@ def _limits(begun: Sequence[_Begun], settings: MissionSettings | None) -> dict[t
 
 
 class _Axis:
-    """Seconds of the mission's clock, one process after the other without the gaps between them.
+    """The time axis: seconds of the mission's clock, without the gaps between processes.
 
     Attributes:
-        begun, ended: when attempts (shot, number) began and when their exposures were over, as the journal has it.
-        lived_s, pace: as of `Timeline`.
+        begun, ended: when attempts (shot, number) began and their exposures ended, from the journal.
+        lived_s, pace: see `Timeline`.
     """
 
     def __init__(self, source: Source) -> None:
@@ -244,7 +244,7 @@ class _Axis:
 
     @staticmethod
     def _lived(events: Sequence[ev.Event]) -> Iterator[tuple[ev.Event, float]]:
-        """Each event and how long the mission had lived by then."""
+        """Each event with its time on the axis."""
         now_s = 0.0
         before: ev.Event | None = None
         for event in events:
@@ -255,7 +255,7 @@ class _Axis:
             before = event
 
     def start(self, shot: int, number: int, utc_s: float) -> float:
-        """When an attempt began; by the wall time that the manifest gives, where the journal does not have it."""
+        """When an attempt began: from the journal, else from the manifest's wall time."""
         known = self.begun.get((shot, number))
         if known is not None or not self._marks:
             return utc_s if known is None else known
@@ -263,7 +263,7 @@ class _Axis:
         return at_s + (utc_s - at_utc_s) * self.pace
 
     def paused_s(self, start_s: float, end_s: float) -> float:
-        """How long the mission was paused between two moments of the axis."""
+        """How long the mission was paused between two times of the axis."""
         return sum(max(0.0, min(end, end_s) - max(start, start_s)) for start, end in self._pauses)
 
 

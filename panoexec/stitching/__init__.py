@@ -1,1 +1,1 @@
-"""From a mission directory to a panorama: Hugin's tools find points and remap, panoexec aligns, blends and judges."""
+"""Stitching: Hugin's tools find control points and remap; panoexec aligns, blends and measures completeness."""

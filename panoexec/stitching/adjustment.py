@@ -1,13 +1,13 @@
 """Aligns the images: attitudes (and the lens) from control points, starting from the measured attitudes.
 
-A least-squares adjustment of all images at once. Each attitude may move by a small rotation vector in the camera's
-frame, in which the nadir is a pose like any other (Hugin's yaw, pitch and roll are singular there). Each carries its
-measured attitude as a prior: an image without control points keeps what the gimbal measured, the panorama as a whole
-stays level and oriented, and nothing can run away. Control points are weighed robustly (Cauchy), with a scale that
-shrinks from a hundredth of a radian to pixels while the attitudes settle.
+A least-squares bundle adjustment of all images. Each attitude is corrected by a small rotation vector in the camera's
+frame, which has no singularity at the nadir (Hugin's yaw, pitch and roll have). The measured attitude of each image is
+a prior: an image without control points keeps its measured attitude, and the panorama stays level and oriented. Control
+points are weighted robustly (Cauchy), with a scale that decreases from a hundredth of a radian to pixels during
+convergence.
 
 The lens is the focal length and Hugin's radial term b: r_stored = r · (b · r² + 1 - b), r in units of half the shorter
-side. Both have priors too (what the profile says, no distortion).
+side. Both have priors too (the camera profile, no distortion).
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Lens:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prior:
-    """How far the measured attitudes may be off: standard deviations, degrees."""
+    """Standard deviations of the measured attitudes, degrees."""
 
     tilt_deg: float = 0.3
     """About any horizontal axis (pitch and roll)."""
@@ -108,8 +108,8 @@ class Adjustment:
     Attributes:
         rotations: camera-to-world (n, 3, 3).
         lens: as adjusted.
-        residual_px: of each point given, pixels of the stored images at their centre.
-        kept: which points were used to the end.
+        residual_px: of each given point, pixels of the stored images at their centre.
+        kept: mask of the points that were used in the end.
     """
 
     rotations: FloatArray
@@ -137,10 +137,10 @@ def adjust(
     """Align images.
 
     Args:
-        points: control points, wrong ones among them.
+        points: control points, possibly with outliers.
         rotations: measured camera-to-world rotations (n, 3, 3).
         lens: the nominal lens.
-        prior: how good the measured attitudes are.
+        prior: standard deviations of the measured attitudes.
         refine_lens: whether focal length and distortion may change.
     """
     information = (prior or Prior()).information(rotations)
@@ -150,7 +150,7 @@ def adjust(
         current = _settle(_Problem(points.only(kept), rotations, information, lens, refine_lens), current)
         residual = np.radians(separation_deg(points, current.rotations, current.lens)) * current.lens.focal_length_px
         inside = residual[kept]
-        # three pixels as in a stitcher's defaults, unless the images are unsharp or the lens is poor throughout
+        # three pixels, the usual default of stitchers, unless the residuals are larger throughout
         spread = 4 * 1.4826 * float(np.median(inside)) if len(inside) else 0.0
         kept = residual <= max(3.0, min(spread, 12.0))
     return Adjustment(rotations=current.rotations, lens=current.lens, residual_px=residual, kept=kept)
@@ -164,7 +164,7 @@ class _State:
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """What is given: points, measured attitudes with their information, the nominal lens and whether it may change."""
+    """The input: points, measured attitudes with their information, the nominal lens and whether it is refined."""
 
     points: Points
     measured: FloatArray
@@ -174,7 +174,7 @@ class _Problem:
 
 
 def _settle(problem: _Problem, start: _State) -> _State:
-    """Gauss-Newton rounds with a shrinking robust scale until nothing moves."""
+    """Gauss-Newton iterations with a decreasing robust scale until convergence."""
     state = start
     scale = max(_FINAL_SCALE_PX, 0.01 * problem.nominal.focal_length_px)
     for _ in range(_MAX_ROUNDS):
@@ -199,7 +199,7 @@ def _step(problem: _Problem, state: _State, scale: float) -> FloatArray:
     side = np.zeros((n, 3))
     border = np.zeros((n, 3, 2))
     corner, corner_side = np.zeros((2, 2)), np.zeros(2)
-    # the prior: where the attitude is now, seen from the measured one
+    # the prior: the current attitude relative to the measured one
     away = _vector_of_rotation(np.swapaxes(measured, -1, -2) @ state.rotations)
     blocks[np.arange(n), np.arange(n)] += problem.information
     side -= np.einsum("nij,nj->ni", problem.information, away)
@@ -311,7 +311,7 @@ def spread_points(points: Points, most: int = 16) -> Points:
             keep.extend(numbers.tolist())
             continue
         places = points.pixels[numbers, :2]
-        # the first: the one farthest from their centre; then always the one farthest from all chosen
+        # the first is the farthest from the centre; each next one is the farthest from all chosen ones
         distance = np.full(len(numbers), np.inf)
         chosen = int(np.argmax(np.linalg.norm(places - places.mean(axis=0), axis=1)))
         for _ in range(most):
@@ -322,10 +322,10 @@ def spread_points(points: Points, most: int = 16) -> Points:
 
 
 def tied_group(points: Points, count: int, least: int = 3) -> frozenset[int]:
-    """The largest group of images that hang together by pairs with at least `least` points; empty without any pair.
+    """The largest group of images connected by pairs with at least `least` points; empty without any pair.
 
     Args:
-        points: control points that are believed.
+        points: accepted control points.
         count: number of images.
         least: points that a pair needs to count as tied.
     """

@@ -1,9 +1,9 @@
-"""Blends remapped images in two bands: fine detail from one image at each place, brightness from all of them smoothly.
+"""Two-band blending of remapped images: detail from one image at each pixel, brightness smoothly from all of them.
 
-At each place the image whose border is farthest away gives the detail; near the line where two are equally good, their
-weights change over a few hundredths of their depth. Brightness (everything coarser than a few dozen pixels) is weighed
-by the square of the depth, so that differences in exposure fade over the whole overlap. Weights follow from the
-geometry alone, so blocks that are blended one at a time fit together.
+At each pixel the detail comes from the image whose border is farthest away; near the line of equal depth the weights
+change over a few hundredths of the depth. Brightness (everything coarser than a few dozen pixels) is weighted by the
+square of the depth, so that exposure differences fade over the whole overlap. Weights depend on the geometry alone, so
+blocks that are blended one at a time match at their borders.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Patch:
 def blend(
     shape: tuple[int, int], patches: Sequence[Patch], depth_of: Callable[[Patch], Floats], blur_px: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Blend patches into one picture.
+    """Blend patches into one image.
 
     Args:
         shape: (height, width) of the view.
@@ -74,7 +74,7 @@ def blend(
         weight = np.where(patch.mask, depth * depth, 0).astype(np.float32)
         coarse[patch.place] += smooth * weight[..., None]
         coarse_weight[patch.place] += weight
-        # masked pixels may be deeper than the best of the others: no overflow for them
+        # masked pixels may be deeper than the best of the others: avoid an overflow
         behind = np.minimum(depth / best[patch.place] - 1, 0)
         weight = np.where(patch.mask, np.exp(_SHARPNESS * behind), 0).astype(np.float32)
         fine[patch.place] += (patch.pixels - smooth) * weight[..., None]
@@ -90,7 +90,7 @@ def blend(
 
 def _blurred(pixels: NDArray[np.uint8], mask: NDArray[np.bool_], radius: int) -> Floats:
     """Means (h, w, 3) over two box blurs of the mask's pixels alone."""
-    # sums of whole numbers are exact; they may wrap around on the way as long as the last ones fit
+    # integer sums are exact; intermediate ones may wrap around if the final ones fit
     kind: type[np.unsignedinteger[Any]] = np.uint32 if 255 * (2 * radius + 1) ** 4 < 1 << 32 else np.uint64
     weight: NDArray[np.unsignedinteger[Any]] = mask.astype(kind)
     total: NDArray[np.unsignedinteger[Any]] = pixels.astype(kind)
@@ -103,7 +103,7 @@ def _blurred(pixels: NDArray[np.uint8], mask: NDArray[np.bool_], radius: int) ->
 
 
 def _box_sums(values: NDArray[np.unsignedinteger[Any]], radius: int, axis: int) -> NDArray[np.unsignedinteger[Any]]:
-    """Sums over 2 · radius + 1 neighbours along an axis, what is outside counting as 0."""
+    """Sums over 2 · radius + 1 neighbours along an axis, with zeros outside."""
     sums = np.moveaxis(np.cumsum(values, axis=axis, dtype=values.dtype), axis, 0)
     length = len(sums)
     out = np.empty_like(sums)

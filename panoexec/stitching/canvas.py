@@ -1,7 +1,7 @@
-"""The canvas of the panorama in blocks that fit into memory, and what each image weighs where.
+"""The panorama's canvas in blocks that fit into memory, and the depth of each image in them.
 
-A block is worked on with a margin around it, so that blurred colours agree across its border. It is rendered on a
-canvas turned by whole pixels, so that the block lies in its middle: azimuth ±180 is a place like any other.
+A block is processed with a margin, so that blurred colours agree across its border. It is rendered on a canvas rotated
+by whole pixels with the block in its middle, so that azimuth ±180° needs no special case.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Block:
     """A rectangle of the canvas.
 
     Attributes:
-        row: its place among the blocks.
+        row: index of the block's row.
         column: likewise.
         left: first column of the canvas.
         top: first row.
@@ -44,7 +44,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
-    """A block with its margin on a canvas turned so that the block lies in the middle.
+    """A block with its margin on a canvas rotated so that the block is in the middle.
 
     Attributes:
         block: the block.
@@ -93,7 +93,7 @@ def blocks(canvas: tuple[int, int], side: int) -> Iterator[Block]:
 
 
 def view_of(block: Block, canvas: tuple[int, int], margin: int) -> View:
-    """The block with a margin, which ends at the poles and never meets itself around the back."""
+    """The block with a margin, limited at the poles and to the width of the canvas."""
     width, height = canvas
     span = min(width, block.width + 2 * margin)
     left = (width - span) // 2
@@ -120,7 +120,7 @@ def directions_of(view: View, canvas: tuple[int, int]) -> tuple[FloatArray, Floa
 
 
 def image_depth(project: PtoProject, number: int, view: View, place: tuple[slice, slice]) -> NDArray[np.float32]:
-    """How deep pixels of a view lie inside an image, without distortion: 1 in its middle, 0 at its border.
+    """Depth of a view's pixels in an image, without distortion: 1 at its centre, 0 at its border.
 
     Args:
         project: the turned project.
@@ -153,7 +153,7 @@ def image_depth(project: PtoProject, number: int, view: View, place: tuple[slice
 
 
 def images_in_view(project: PtoProject, view: View, step: int = 16) -> list[int]:
-    """Numbers of the images that may touch a view; tested on a grid of its pixels, with room for what lies between.
+    """Numbers of the images that may touch a view; tested on a grid of its pixels, with a margin for those between.
 
     Args:
         project: the turned project.
@@ -164,7 +164,7 @@ def images_in_view(project: PtoProject, view: View, step: int = 16) -> list[int]
     rows = np.unique(np.append(np.arange(0, view.height, step), view.height - 1))
     columns = np.unique(np.append(np.arange(0, view.width, step), view.width - 1))
     grid = direction(elevation[rows][:, None], azimuth[columns][None, :]).reshape(-1, 3)
-    # a little room for distortion, too
+    # a margin for distortion
     room = np.radians(step * 360.0 / project.canvas_px[0]) + 0.02
     image = project.images[0]
     half = np.array([image.width_px, image.height_px]) / 2 / project.focal_length_px

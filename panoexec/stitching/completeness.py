@@ -1,7 +1,7 @@
-"""How complete a panorama is: the paper's equation (8), C = (ground - holes) / ground, and where its holes are.
+"""Completeness of a panorama: the paper's equation (8), C = (ground - holes) / ground, and its holes.
 
-The ground is what lies below the horizon and was asked for: the band's directions, without its masks. The paper counts
-pixels of the equirectangular panorama, which makes much of the nadir; the share of the solid angle is told beside it.
+The ground is the part of the band below the horizon, without masks. The paper counts pixels of the equirectangular
+panorama, which overweights the nadir; the fraction by solid angle is computed as well.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Ground:
     """What must be covered.
 
     Attributes:
-        band: what was asked for.
+        band: the requested band.
         horizon_deg: elevation up to which the ground reaches.
         masks: boxes that need no coverage.
     """
@@ -32,7 +32,7 @@ class Ground:
     masks: tuple[AngleBox, ...] = ()
 
     def mask(self, elevation_deg: FloatArray, azimuth_deg: FloatArray) -> NDArray[np.bool_]:
-        """Which directions belong to it, (elevations, azimuths)."""
+        """Mask of the directions that belong to it, (elevations, azimuths)."""
         top = min(self.band.elevation_max_deg, self.horizon_deg)
         rows = (elevation_deg >= self.band.elevation_min_deg) & (elevation_deg <= top)
         columns = _within(azimuth_deg, self.band.azimuth_min_deg, self.band.azimuth_max_deg)
@@ -66,13 +66,13 @@ class PanoramaHole:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Completeness:
-    """The verdict.
+    """The result.
 
     Attributes:
         fraction: equation (8), by pixels; 1.0 exactly if there is no hole, and without any ground.
         solid_angle_fraction: likewise by solid angle.
         ground_px: pixels of the ground.
-        hole_px: of them not covered.
+        hole_px: those of them that are not covered.
         holes: largest first.
     """
 
@@ -85,7 +85,7 @@ class Completeness:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BlockCount:
-    """What one block adds.
+    """The counts of one block.
 
     Attributes:
         ground_px: pixels of the ground.
@@ -106,7 +106,7 @@ class CompletenessCounter:
     Args:
         canvas: (width, height) of the panorama.
         ground: what must be covered.
-        map_width: cells around of the coarse map on which holes are told apart.
+        map_width: width in cells of the coarse map on which holes are separated.
     """
 
     def __init__(self, canvas: tuple[int, int], ground: Ground, map_width: int = 1440) -> None:
@@ -151,7 +151,7 @@ class CompletenessCounter:
         np.add.at(self.map, (block.cells[:, 0], block.cells[:, 1]), block.cells[:, 2])
 
     def result(self) -> Completeness:
-        """The verdict over all blocks."""
+        """The result over all blocks."""
         hole_px = int(self.map.sum(dtype=np.int64))
         ground = self._ground_px
         return Completeness(
@@ -163,13 +163,13 @@ class CompletenessCounter:
         )
 
     def _holes(self) -> list[PanoramaHole]:
-        """Connected cells (eight neighbours, around the back) of the map."""
+        """Connected cells (eight neighbours, wrapping around in azimuth) of the map."""
         left = {(int(r), int(c)) for r, c in zip(*np.nonzero(self.map), strict=True)}
         columns = self.map.shape[1]
         found = []
         while left:
             start = left.pop()
-            # columns count on beyond the border, so that a hole across the back has one middle
+            # column numbers continue beyond the border, so that a hole across ±180° has one centre
             cells, queue = [start], deque([start])
             while queue:
                 row, column = queue.popleft()

@@ -17,7 +17,7 @@ from panoexec.stitching.adjustment import Lens, Points, separation_deg
 from panoexec.stitching.tools import StitchError, ToolError, disk_error, run_tool
 
 MATCH_WIDTH_PX: Final = 2000
-"""Longer side of the images that points are searched in: enough for hundreds of points, a tenth of the time."""
+"""Longer side of the images in which points are searched: enough for hundreds of points, in a tenth of the time."""
 
 _ANALYSED: Final = re.compile(r"i\d+ : Analyzing image")
 _MATCHED: Final = re.compile(r"i(\d+) <> i(\d+) : Found (\d+) matches")
@@ -29,7 +29,7 @@ def find_points(project: PtoProject, folder: Path, work: Path, progress: Callabl
     Args:
         project: images with measured attitudes, file names relative to `folder`.
         folder: the mission directory.
-        work: where intermediate files may go.
+        work: folder for intermediate files.
         progress: called with a fraction and a text.
 
     Raises:
@@ -48,7 +48,7 @@ def find_points(project: PtoProject, folder: Path, work: Path, progress: Callabl
             progress(0.1 + 0.6 * done["analysed"] / count, f"points in image {done['analysed']} of {count}")
         elif match := _MATCHED.match(line):
             done["matched"] += 1
-            # about five neighbours an image
+            # about five neighbours per image
             progress(min(0.99, 0.7 + 0.06 * done["matched"] / count), f"pair {match[1]}-{match[2]}")
 
     run_tool(
@@ -75,7 +75,7 @@ def _scaled(point: ControlPoint, scale: int) -> ControlPoint:
 def _search_copies(
     project: PtoProject, folder: Path, work: Path, progress: Callable[[float, str], None]
 ) -> tuple[PtoProject, int]:
-    """The project with copies of its images made smaller by a whole factor, and the factor; itself if that is 1."""
+    """The project with copies of its images reduced by an integer factor, and the factor; unchanged if that is 1."""
     first = project.images[0]
     longer = max(first.width_px, first.height_px)
     if longer <= MATCH_WIDTH_PX:
@@ -99,7 +99,7 @@ def _copy(source: Path, target: Path, size: tuple[int, int], factor: int) -> Non
     try:
         with PIL.Image.open(source) as picture:
             stored = picture.size
-            # the decoder itself can halve JPEGs, which is much faster
+            # the decoder can reduce JPEGs itself, which is much faster
             picture.draft("RGB", (2 * size[0], 2 * size[1]))
             right, bottom = (factor * size[k] * picture.size[k] / stored[k] for k in (0, 1))
             small = picture.convert("RGB").resize(size, PIL.Image.Resampling.BOX, box=(0.0, 0.0, right, bottom))
@@ -114,11 +114,11 @@ def _copy(source: Path, target: Path, size: tuple[int, int], factor: int) -> Non
 
 
 def believable(project: PtoProject, tolerance: Tolerance, lens: Lens) -> Points:
-    """Control points that do not contradict the measured attitudes by more than 1° and six times the tolerance.
+    """Control points that deviate from the measured attitudes by less than 1° plus six times the tolerance.
 
     Args:
         project: images with measured attitudes, and all points found.
-        tolerance: how far the attitudes may be off.
+        tolerance: error bound of the attitudes.
         lens: the nominal lens.
     """
     numbers, pixels = point_arrays(project.control_points)

@@ -1,4 +1,4 @@
-"""What there is to stitch: the accepted photos of a mission directory that are really there and whole."""
+"""Input of the stitcher: the accepted photos of a mission directory that exist and are complete."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ _USUAL_TOLERANCE = Tolerance(pitch_deg=0.1, roll_deg=0.1, yaw_deg=0.7)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StitchInput:
-    """What there is to stitch.
+    """The input of the stitcher.
 
     Attributes:
         folder: the mission directory.
         project: usable photos with measured angles, names relative to `folder`, canvas at their resolution.
-        band: directions that were asked for.
+        band: the requested band.
         masks: boxes that need no coverage.
-        tolerance: how far the measured attitudes may be off.
-        left_out: photos that cannot be used, by name, with the reason.
+        tolerance: error bound of the measured attitudes.
+        left_out: unusable photos by name, with the reason.
         missing_shots: shots without an accepted photo.
         heading_deg: true heading of the canvas's middle.
     """
@@ -53,11 +53,11 @@ def load_mission(path: Path) -> StitchInput:
     """Read a mission directory.
 
     Args:
-        path: as the user named it.
+        path: as given by the user.
 
     Raises:
-        UsageError: it is no mission directory, or its manifest or plan is damaged.
-        StitchError: no photo in it can be used.
+        UsageError: it is not a mission directory, or its manifest or plan is damaged.
+        StitchError: it has no usable photo.
     """
     directory = existing_mission_directory(path)
     document = read_manifest(directory.manifest)
@@ -72,12 +72,12 @@ def load_mission(path: Path) -> StitchInput:
     # of an exposure bracket, the first photo is stitched
     accepted = [shot for shot in exports.shots if shot.bracket == 1]
     if not accepted:
-        raise StitchError(f"{path}: the mission has no accepted photo; there is nothing to stitch")
+        raise StitchError(f"{path}: the mission has no accepted photo to stitch")
     usable, left_out = _usable(accepted, directory.path)
     if not usable:
         name, reason = next(iter(left_out.items()))
         raise StitchError(
-            f"{path}: none of the {len(accepted)} accepted photos can be used ({name}: {reason}); "
+            f"{path}: none of the {len(accepted)} accepted photos is usable ({name}: {reason}); "
             f"copy them from the camera into {directory.images}"
         )
     taken = {shot.index for shot in accepted}
@@ -95,14 +95,14 @@ def load_mission(path: Path) -> StitchInput:
 
 
 def _usable(shots: list[ExportShot], folder: Path) -> tuple[list[ExportShot], dict[str, str]]:
-    """The shots whose photo is there, whole, and as large as most of them; the others with the reason."""
+    """The shots with a complete photo of the most common size; the others with the reason."""
     found, left_out = [], {}
     for shot in shots:
         try:
             found.append(_looked_at(shot, folder))
         except FileNotFoundError:
             left_out[shot.name] = (
-                "is missing" if shot.file_name else f"is missing (nobody named the file of shot {shot.index})"
+                "is missing" if shot.file_name else f"is missing (the file name of shot {shot.index} is unknown)"
             )
         except (OSError, ValueError) as error:
             left_out[shot.name] = getattr(error, "strerror", None) or str(error)
@@ -134,7 +134,7 @@ def _looked_at(shot: ExportShot, folder: Path) -> ExportShot:
             with PIL.Image.open(path) as picture:
                 width, height = picture.size
         except PIL.UnidentifiedImageError:
-            raise ValueError("is no image") from error
+            raise ValueError("is not an image") from error
         return replace(shot, file_name=shot.name, width_px=width, height_px=height, orientation=1)
     if not header.complete:
         raise ValueError("is truncated")

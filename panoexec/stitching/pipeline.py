@@ -1,12 +1,12 @@
-"""The stitcher's steps, one after the other, each kept so that an interrupted run goes on where it stopped.
+"""The steps of the stitcher; the result of each is stored, so that an interrupted run can be resumed.
 
-1. *match*: control points by `cpfind`, which looks at overlapping images only, as the measured attitudes tell.
+1. *match*: control points by `cpfind`, only between images that overlap by their measured attitudes.
 2. *align*: one adjustment of all images (`panoexec.stitching.adjustment`).
 3. *render*: `nona` and blending, block by block.
 4. *finish*: TIFF, preview, completeness.
 
-A step is done when its result is on disk and `state.json` holds the fingerprint of what it was made from: photos,
-measured angles, options, and the results of the steps before.
+A step is complete when its result is on disk and `state.json` has the fingerprint of its input: photos, measured
+angles, options, and the results of the previous steps.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ _POINTS_A_PAIR: Final = 40
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StitchOptions:
-    """How to stitch.
+    """Options of the stitcher.
 
     Attributes:
         width_px: width of the whole sphere; None for the photos' resolution.
         horizon_deg: elevation up to which the ground reaches, for completeness.
         refine_lens: whether focal length and distortion are adjusted.
-        memory_bytes: how much memory blending may use.
-        restart: whether to forget what earlier runs left.
+        memory_bytes: memory limit for blending.
+        restart: whether to discard the results of earlier runs.
     """
 
     width_px: int | None = None
@@ -61,19 +61,19 @@ class StitchOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StitchResult:
-    """What came out.
+    """The result of stitching.
 
     Attributes:
         completeness: equation (8) and the holes.
-        images: photos stitched.
-        left_out: photos that could not be used, with the reason.
-        untied: names of photos that no control points tie to the others; they keep their measured angles.
+        images: number of stitched photos.
+        left_out: unusable photos, with the reason.
+        untied: names of photos without control points to the others; they keep their measured angles.
         points: control points used.
         rms_px: their residual, pixels of the photos.
         hfov_deg: field of view as adjusted.
-        correction_deg: largest angle by which an image was turned.
+        correction_deg: largest correction of an image's attitude.
         canvas_px: size of the whole sphere.
-        seconds: time of each step, over all runs.
+        seconds: duration of each step, over all runs.
         panorama: the TIFF.
         preview: the JPEG.
     """
@@ -112,9 +112,9 @@ class Stitcher:
     """Stitches one mission.
 
     Args:
-        mission: what there is to stitch.
-        options: how.
-        progress: told about every step.
+        mission: the input.
+        options: the options.
+        progress: called at every step.
     """
 
     def __init__(self, mission: StitchInput, options: StitchOptions, progress: Progress) -> None:
@@ -125,7 +125,7 @@ class Stitcher:
         self._state: dict[str, dict[str, Any]] = {}
 
     def run(self) -> StitchResult:
-        """Run the steps that are not done yet.
+        """Run the steps that are not complete.
 
         Raises:
             ToolError: a tool is missing or failed, or the disk is full; completed steps are kept.
@@ -141,7 +141,7 @@ class Stitcher:
         try:
             return self._run()
         except UsageError as error:
-            # a file of ours that could not be written: the disk is the matter, not the user
+            # an own file could not be written: an error of the disk, not of the user
             cause = error.__cause__
             raise (disk_error(self._work, cause) if isinstance(cause, OSError) else ToolError(str(error))) from error
 
@@ -160,7 +160,7 @@ class Stitcher:
         key = _digest(key, render_pto(project), ground, str(self._options.memory_bytes))
         blocks = self._work / "blocks"
         if self._state.get("render", {}).get("key") != key:
-            # blocks of another alignment are worthless
+            # blocks of another alignment are invalid
             shutil.rmtree(blocks, ignore_errors=True)
             self._panorama.with_name(self._panorama.name + ".part").unlink(missing_ok=True)
             self._state["render"] = {"key": key, "seconds": 0.0, "done": False}
@@ -171,7 +171,7 @@ class Stitcher:
         return self._result(json.loads(result.read_text(encoding="utf-8")))
 
     def _step(self, name: str, key: str, product: Path, work: Callable[[], None]) -> Path:
-        """Do a step unless it was done with the same inputs and its product is there."""
+        """Run a step unless it was completed with the same inputs and its product exists."""
         known = self._state.get(name, {})
         same = known.get("key") == key
         if same and known.get("done") and (product.exists() or self._state.get("finish", {}).get("key") == key):
@@ -184,7 +184,7 @@ class Stitcher:
             work()
         except BaseException:
             self._state[name] = {"key": key, "seconds": round(spent + time.monotonic() - started, 2), "done": False}
-            # on a full disk this fails, too; what went wrong first is what counts
+            # on a full disk this fails, too; the first error is reported
             with suppress(UsageError):
                 self._write_state()
             raise
@@ -201,7 +201,7 @@ class Stitcher:
         write_atomically(self._work / "matched.pto", render_pto(_in_work(found)))
 
     def _align(self, measured: PtoProject, matched: Path) -> None:
-        """Adjust; leave `aligned.pto`, which Hugin opens, and what is known of the alignment beside it."""
+        """Adjust; write `aligned.pto`, which Hugin can open, and the figures of the alignment."""
         found = parse_pto(matched.read_text(encoding="utf-8"))
         lens = _lens(measured)
         points = believable(replace(measured, control_points=found.control_points), self._mission.tolerance, lens)
@@ -224,7 +224,7 @@ class Stitcher:
         write_atomically(self._work / "aligned.pto", render_pto(_in_work(aligned)))
 
     def _on_canvas(self, project: PtoProject) -> PtoProject:
-        """The project on the canvas asked for; matching and aligning do not depend on it."""
+        """The project on the requested canvas; matching and aligning do not depend on it."""
         width = self._options.width_px
         return project if width is None else replace(project, canvas_px=(2 * (width // 2), width // 2))
 
@@ -241,7 +241,7 @@ class Stitcher:
         )
 
     def _finish(self, renderer: PanoramaRenderer, project: PtoProject) -> None:
-        """Finish the TIFF, write the preview and the verdict, and remove what is no longer needed."""
+        """Finish the TIFF, write preview and result, and remove intermediate files."""
         rendered = renderer.finish()
         preview = self._write_preview(rendered)
         facts = json.loads((self._work / "alignment.json").read_text(encoding="utf-8"))
@@ -277,7 +277,7 @@ class Stitcher:
         return path
 
     def _result(self, document: dict[str, Any]) -> StitchResult:
-        """What `stitch.json` says, with the times of all steps, which it gets, too."""
+        """The result from `stitch.json`, to which the durations of all steps are added."""
         seconds = {name: self._state[name]["seconds"] for name in STEPS if name in self._state}
         if document.get("seconds") != seconds:
             document["seconds"] = seconds
@@ -294,7 +294,7 @@ class Stitcher:
         return lambda fraction, text: self._progress(step, fraction, text)
 
     def _fingerprint(self, project: PtoProject) -> str:
-        """Of the photos and their measured angles."""
+        """Fingerprint of the photos and their measured angles."""
         parts = [render_pto(project)]
         for image in project.images:
             status = (self._mission.folder / image.file_name).stat()
@@ -317,7 +317,7 @@ def result_from_json(document: dict[str, Any], work: Path) -> StitchResult:
 
     Args:
         document: the JSON object.
-        work: the folder where it lay.
+        work: its folder.
     """
     verdict = document["completeness"]
     holes = tuple(PanoramaHole(**hole) for hole in verdict["holes"])
@@ -359,7 +359,7 @@ def _aligned(measured: PtoProject, result: Adjustment, kept: Points) -> PtoProje
 
 
 def _in_work(project: PtoProject) -> PtoProject:
-    """The project as it must lie in the folder `stitch`: Hugin looks for photos from where the project is."""
+    """The project for the folder `stitch`: Hugin resolves file names relative to the project file."""
     images = (
         image if Path(image.file_name).is_absolute() else replace(image, file_name=f"../{image.file_name}")
         for image in project.images
@@ -374,7 +374,7 @@ def _from_work(project: PtoProject) -> PtoProject:
 
 
 def _largest_turn_deg(measured: PtoProject, result: Adjustment) -> float:
-    """The largest angle by which an image was turned from what was measured."""
+    """The largest angle between an image's adjusted and measured attitude."""
     relative = np.swapaxes(measured.rotations(), -1, -2) @ result.rotations
     cosine = (np.trace(relative, axis1=1, axis2=2) - 1) / 2
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).max())

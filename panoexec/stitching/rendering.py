@@ -1,7 +1,7 @@
 """Renders the panorama block by block: `nona` remaps, panoexec blends, counts holes and appends to the TIFF.
 
-A block is finished when its small record (`blocks/RRRR_CCCC.npz`) is on disk: where its tiles lie in the growing TIFF,
-its part of the preview, and what it adds to completeness. After an interruption, finished blocks are left as they are.
+A block is finished when its record (`blocks/RRRR_CCCC.npz`) is on disk: the position of its tiles in the TIFF, its part
+of the preview, and its counts for completeness. After an interruption, finished blocks are not rendered again.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Rendered:
     """The panorama.
 
     Attributes:
-        completeness: its verdict.
+        completeness: the result.
         preview: (h, w, 3) uint8, the whole canvas reduced by a whole factor.
         covered: (h, w) share of each preview pixel that is covered, 0 to 255.
     """
@@ -47,7 +47,7 @@ class Rendered:
 
 @dataclass(frozen=True, slots=True)
 class _Record:
-    """What is kept of a finished block."""
+    """The stored record of a finished block."""
 
     tiles: dict[int, TileEntry]
     preview: NDArray[np.uint8]
@@ -61,11 +61,11 @@ class PanoramaRenderer:
     Args:
         project: aligned images; file names relative to `folder`.
         folder: the mission directory.
-        work: where the records go.
-        target: the TIFF, which grows under another name.
+        work: folder of the records.
+        target: the TIFF, which has a temporary name until it is complete.
         ground: what must be covered.
-        memory_bytes: how much memory blending may use.
-        xmp: packet for the TIFF.
+        memory_bytes: memory limit for blending.
+        xmp: XMP packet for the TIFF.
     """
 
     def __init__(
@@ -90,11 +90,11 @@ class PanoramaRenderer:
 
     @property
     def _canvas_scale(self) -> float:
-        """Pixels of the canvas to one of the photos, in their middle."""
+        """Pixels of the canvas per pixel of the photos, at their centre."""
         return self._project.canvas_px[0] / (2 * np.pi * self._project.focal_length_px)
 
     def render(self, progress: Callable[[float, str], None]) -> None:
-        """Render the blocks that are missing.
+        """Render the missing blocks.
 
         Args:
             progress: called with a fraction and a text.
@@ -158,7 +158,7 @@ class PanoramaRenderer:
             covered=_reduced(alpha[..., None], np.ones_like(covered), self._factor)[..., 0],
             count=self._counter.count(block.left, block.top, covered),
         )
-        # the record says that the tiles are there: they must be on the disk first
+        # the tiles must be on disk before the record that refers to them
         tiff.flush()
         self._write(block, record)
 
@@ -216,7 +216,7 @@ class PanoramaRenderer:
         return {block: record for block in todo if (record := self._read(block)) is not None}
 
     def _read(self, block: Block) -> _Record | None:
-        """The record of a finished block; None if there is none (or a damaged one: then it is rendered again)."""
+        """The record of a finished block; None if it is missing or damaged (then the block is rendered again)."""
         try:
             with np.load(self._path(block)) as data:
                 return _Record(
@@ -235,7 +235,7 @@ class PanoramaRenderer:
 
 
 def _patch(path: Path, number: int, view: View) -> Patch:
-    """What `nona` wrote, placed in the view."""
+    """The output of `nona`, placed in the view."""
     with PIL.Image.open(path) as picture:
         tags = picture.tag_v2  # type: ignore[attr-defined]
         pixels = np.array(picture)

@@ -1,6 +1,6 @@
-"""Writes a tiled TIFF of any size, tile by tile in any order, and can go on after an interruption.
+"""Writes a tiled TIFF of any size, tile by tile in any order; can continue after an interruption.
 
-Classic TIFF while everything fits into 4 GB, BigTIFF beyond. Tiles are compressed by deflate with horizontal
+Classic TIFF up to 4 GB, BigTIFF beyond. Tiles are compressed by deflate with horizontal
 differencing; pixels are RGB and alpha (255 where the panorama has content).
 """
 
@@ -26,20 +26,20 @@ _SHORT, _LONG, _BYTE, _LONG8 = 3, 4, 1, 16
 
 @dataclass(frozen=True, slots=True)
 class TileEntry:
-    """Where a compressed tile lies in the file."""
+    """Position and size of a compressed tile in the file."""
 
     offset: int
     length: int
 
 
 class TiledTiff:
-    """A TIFF that grows tile by tile under a temporary name, and gets its directory and its name at the end.
+    """A TIFF that is written tile by tile under a temporary name and gets its directory and its name at the end.
 
     Args:
         path: the finished file.
         size: (width, height) of the picture.
         tiles: tiles that an earlier run has written, by number (row by row); what follows the last one is cut off.
-        big: BigTIFF; by default if the picture could exceed what a classic one holds.
+        big: BigTIFF; by default if the image could exceed the limit of a classic TIFF.
     """
 
     def __init__(
@@ -91,12 +91,12 @@ class TiledTiff:
         return number
 
     def flush(self) -> None:
-        """Bring what was written to the disk."""
+        """Flush the written data to disk."""
         self._file.flush()
         os.fsync(self._file.fileno())
 
     def finish(self, xmp: str = "") -> None:
-        """Write the directory, and give the file its name.
+        """Write the directory and rename the file to its final name.
 
         Args:
             xmp: a packet to include.

@@ -1,4 +1,4 @@
-"""Runs Hugin's command-line tools, and says clearly what is missing or went wrong."""
+"""Runs Hugin's command-line tools and reports missing tools and failures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LITTLE_SPACE_BYTES: Final = 64 << 20
 
 
 class StitchError(PanoexecError):
-    """The mission cannot be stitched as it is: no photos, too few, or damaged ones."""
+    """The mission cannot be stitched: no photos, too few, or damaged ones."""
 
 
 class ToolError(PanoexecError):
@@ -28,10 +28,10 @@ class ToolError(PanoexecError):
 
 
 def check_tools() -> None:
-    """Make sure that Hugin's tools are there.
+    """Check that Hugin's tools are installed.
 
     Raises:
-        ToolError: some are not; the message says how to install them.
+        ToolError: some are missing; the message says how to install them.
     """
     missing = [name for name in NEEDED if shutil.which(name) is None]
     if missing:
@@ -39,7 +39,7 @@ def check_tools() -> None:
 
 
 def run_tool(command: Sequence[str], folder: Path, on_line: Callable[[str], None] | None = None) -> None:
-    """Run a tool to its end in a folder; it dies with us.
+    """Run a tool in a folder and wait for its end; it is killed if this process is.
 
     Args:
         command: the tool and its arguments.
@@ -47,12 +47,12 @@ def run_tool(command: Sequence[str], folder: Path, on_line: Callable[[str], None
         on_line: called with each line that it prints.
 
     Raises:
-        ToolError: it could not be started or failed; the message has its last words and, if so, that the disk is full.
+        ToolError: it could not be started or failed; the message has its last output, and whether the disk is full.
     """
     name = command[0]
     last: deque[str] = deque(maxlen=3)
     try:
-        # a fixed locale, so that lines can be understood
+        # a fixed locale, so that the output can be parsed
         process = subprocess.Popen(  # noqa: S603  (fixed names, no shell)
             list(command), cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
             text=True, errors="replace", env=os.environ | {"LC_ALL": "C"},
@@ -73,17 +73,17 @@ def run_tool(command: Sequence[str], folder: Path, on_line: Callable[[str], None
                 process.kill()
     if code:
         ended = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
-        raise ToolError(f"{name} {ended}{_full(folder)}: {' | '.join(last) or 'it said nothing'}")
+        raise ToolError(f"{name} {ended}{_full(folder)}: {' | '.join(last) or 'no output'}")
 
 
 def disk_error(folder: Path, error: OSError) -> ToolError:
-    """What to raise when writing below `folder` failed."""
+    """The error for a failed write below `folder`."""
     reason = error.strerror or type(error).__name__
     return ToolError(f"{folder}: cannot be written ({reason}{_full(folder)}); completed steps are kept")
 
 
 def _full(folder: Path) -> str:
-    """A remark if hardly anything is left on the folder's disk."""
+    """A note if the folder's disk is almost full."""
     try:
         free = shutil.disk_usage(folder).free
     except OSError:

@@ -1,1 +1,1 @@
-"""A mission on disk: directory, journal, manifest, and the session that writes them."""
+"""Missions on disk: directory, journal, manifest, and the session that writes them."""

@@ -1,4 +1,4 @@
-"""Where a mission lives: `<storage>/missions/<mission_id>/`, and what its files are called."""
+"""The directory of a mission, `<storage>/missions/<mission_id>/`, and the names of its files."""
 
 from __future__ import annotations
 
@@ -22,40 +22,40 @@ class MissionDirectory:
 
     @property
     def mission_id(self) -> str:
-        """The mission's name, which is the directory's."""
+        """The mission id: the name of the directory."""
         return self.path.name
 
     @property
     def plan(self) -> Path:
-        """The plan as it was asked for."""
+        """The plan."""
         return self.path / "plan.json"
 
     @property
     def manifest(self) -> Path:
-        """What was flown."""
+        """The manifest: what was requested and what was taken."""
         return self.path / "manifest.json"
 
     @property
     def journal(self) -> Path:
-        """What a mission resumes from."""
+        """The journal, from which a mission is resumed."""
         return self.path / "journal.sqlite"
 
     @property
     def report(self) -> Path:
-        """The page for people."""
+        """The HTML report."""
         return self.path / "report.html"
 
     @property
     def images(self) -> Path:
-        """Photos that the camera hands over."""
+        """The folder of the photos."""
         return self.path / "images"
 
 
 def new_mission_directory(storage: Path, *, now_utc_s: float) -> MissionDirectory:
-    """Make the directory of a new mission; its name is the UTC time to the millisecond, so that names sort by time.
+    """Create the directory of a new mission; its name is the UTC time to the millisecond, so names sort by time.
 
     Raises:
-        UsageError: it cannot be made; the message names the directory and the system's reason.
+        UsageError: it cannot be created; the message names the directory and the system's reason.
     """
     missions = storage / "missions"
     try:
@@ -76,28 +76,28 @@ def new_mission_directory(storage: Path, *, now_utc_s: float) -> MissionDirector
 
 
 def discard_mission_directory(directory: MissionDirectory) -> None:
-    """Remove the directory of a mission that never began; the folder `missions` too, if it was its only one."""
+    """Remove the directory of a mission that never began, and the folder `missions` if it is then empty."""
     shutil.rmtree(directory.path, ignore_errors=True)
-    with contextlib.suppress(OSError):  # it holds others
+    with contextlib.suppress(OSError):  # not empty
         directory.path.parent.rmdir()
 
 
 def existing_mission_directory(path: Path) -> MissionDirectory:
-    """The directory of a mission, as a user names it.
+    """The mission directory at a path given by the user.
 
     Raises:
-        UsageError: it is no directory, or holds no mission.
+        UsageError: it is not a directory, or has no mission.
     """
     directory = MissionDirectory(path.resolve())
     if not path.is_dir():
-        raise UsageError(f"{path}: no such directory; name a mission's, <storage>/missions/<mission_id>")
+        raise UsageError(f"{path}: no such directory; expected a mission directory, <storage>/missions/<mission_id>")
     if not directory.journal.exists() and not directory.manifest.exists():
-        raise UsageError(f"{path}: holds no mission (neither journal.sqlite nor manifest.json)")
+        raise UsageError(f"{path}: not a mission directory (neither journal.sqlite nor manifest.json)")
     return directory
 
 
 def mission_directories(storage: Path) -> list[MissionDirectory]:
-    """All missions of a storage, oldest first; empty if there are none."""
+    """All mission directories of a storage, oldest first."""
     missions = storage / "missions"
     if not missions.is_dir():
         return []
@@ -109,4 +109,4 @@ def _name(moment: datetime) -> str:
 
 
 def _unusable(path: Path, error: OSError) -> UsageError:
-    return UsageError(f"{path}: cannot be made ({error.strerror}); name a folder that can be written")
+    return UsageError(f"{path}: cannot be created ({error.strerror}); use a folder that is writable")

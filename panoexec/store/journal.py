@@ -1,11 +1,11 @@
-"""The journal of a mission: its events, on disk before they are announced, so that nothing is lost with the process.
+"""The journal of a mission: its events, written to disk before they are published.
 
-One SQLite file (`journal.sqlite`) in the mission's directory, in WAL mode with synchronous FULL: what `append` returned
-from survives kill -9 and power cuts. The plan and the settings that the mission began with are kept as JSON texts. The
-file is held exclusively; a second process gets an error, not a second mission.
+One SQLite file (`journal.sqlite`) in the mission's directory, in WAL mode with synchronous FULL: events survive kill -9
+and power cuts once `append` has returned. The plan and the settings at the mission's start are stored as JSON texts.
+The file is locked exclusively; a second process gets an error.
 
-Layout, version 1: `application_id` names the file as ours, `user_version` is the layout's version; table `head` (key,
-value), table `events` (seq, type, time_utc_s, json).
+Layout, version 1: `application_id` identifies a panoexec journal, `user_version` is the version of the layout; table
+`head` (key, value), table `events` (seq, type, time_utc_s, json).
 """
 
 from __future__ import annotations
@@ -30,32 +30,32 @@ APPLICATION_ID = 0x50414E4F
 """`PANO`."""
 SCHEMA_VERSION = 1
 WRITTEN_BY = "panoexec"
-"""Key of the head under which the version stands that began the mission."""
+"""Key in `head` of the panoexec version that started the mission."""
 SCHEMA = """
 CREATE TABLE head (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
 CREATE TABLE events (seq INTEGER PRIMARY KEY, type TEXT NOT NULL, time_utc_s REAL NOT NULL, json TEXT NOT NULL) STRICT;
 """
 
 _ROOM_BYTES = 64 * 1024
-"""What SQLite needs beside a journal to read what a killed process left: 32 KiB, in pages of the disk."""
+"""Free space that SQLite needs to read the write-ahead log of a killed process: 32 KiB, rounded up."""
 
 T = TypeVar("T")
 
 
 class JournalFileError(UsageError):
-    """A journal that cannot be opened or made; nothing was written to it."""
+    """A journal cannot be opened or created; nothing was written to it."""
 
 
 class JournalWriteError(MissionError):
-    """A journal that was open cannot be written any more; the mission must end."""
+    """An open journal can no longer be written; the mission must end."""
 
     exit_code = 3
 
 
 class SqliteJournal:
-    """An open journal; use `create` or `open`, and close it (it is an asynchronous context manager).
+    """An open journal, from `create` or `open`; must be closed (it is an asynchronous context manager).
 
-    All work is done in a thread of its own; every method may be cancelled, the work then ends by itself.
+    File access runs in a thread of its own; methods may be cancelled, file access then completes in the background.
     """
 
     def __init__(self, path: Path, pool: ThreadPoolExecutor, connection: sqlite3.Connection) -> None:
@@ -68,23 +68,23 @@ class SqliteJournal:
 
     @classmethod
     async def create(cls, path: Path, head: Mapping[str, str]) -> Self:
-        """Make a new journal.
+        """Create a new journal.
 
         Args:
-            path: a file that does not exist, in a folder that does.
-            head: what never changes: `mission_id`, `plan`, `settings`, … as texts.
+            path: a file that does not exist, in an existing folder.
+            head: constant data: `mission_id`, `plan`, `settings`, … as texts.
 
         Raises:
-            JournalFileError: the file exists, or cannot be made.
+            JournalFileError: the file exists, or cannot be created.
         """
         return await cls._in_thread(path, lambda: _create(path, head))
 
     @classmethod
     async def open(cls, path: Path) -> Self:
-        """Open a journal to go on with its mission.
+        """Open a journal to resume its mission.
 
         Raises:
-            JournalFileError: there is none, it is damaged, of a newer version, not ours, or in use.
+            JournalFileError: it is missing, damaged, of a newer version, not a panoexec journal, or in use.
         """
         return await cls._in_thread(path, lambda: _open(path))
 
@@ -99,15 +99,15 @@ class SqliteJournal:
         return cls(path, pool, connection)
 
     async def __aenter__(self) -> Self:
-        """Itself."""
+        """Return the journal."""
         return self
 
     async def __aexit__(self, *exc: object) -> None:
-        """Close."""
+        """Close the journal."""
         await self.close()
 
     async def close(self) -> None:
-        """Fold what was written into the file proper and let it go; a second time does nothing."""
+        """Merge the write-ahead log into the file and close it; may be called twice."""
         if self._closed:
             return
         self._closed = True
@@ -115,10 +115,10 @@ class SqliteJournal:
         self._pool.shutdown(wait=False)
 
     async def append(self, events: Sequence[Event]) -> None:
-        """Keep events, all or none; they are on disk when this returns.
+        """Append events in one transaction; they are on disk when this returns.
 
         Raises:
-            JournalWriteError: the disk is full, or the file has been deleted or replaced.
+            JournalWriteError: the disk is full, or the file was deleted or replaced.
         """
         rows = [(e.seq, e.type, e.time_utc_s, json.dumps(e.to_json(), separators=(",", ":"))) for e in events]
         await self._run(lambda: self._write(rows))
@@ -127,12 +127,12 @@ class SqliteJournal:
         """All events, in order.
 
         Raises:
-            JournalFileError: one cannot be read: the journal is damaged.
+            JournalFileError: an event cannot be read: the journal is damaged.
         """
         return await self._run(lambda: _read_events(self.path, self._connection))
 
     async def head(self) -> dict[str, str]:
-        """What the journal was created with.
+        """The head with which the journal was created.
 
         Raises:
             JournalFileError: it cannot be read: the journal is damaged.
@@ -159,15 +159,15 @@ class SqliteJournal:
 
 
 def read_journal(path: Path) -> tuple[dict[str, str], list[Event]]:
-    """What a journal that nobody writes holds: its head and its events; nothing is written to it.
+    """Read the head and the events of a journal that is not in use; nothing is written to it.
 
     Raises:
-        JournalFileError: there is none, it is damaged, of a newer version, not ours, or in use.
+        JournalFileError: it is missing, damaged, of a newer version, not a panoexec journal, or in use.
     """
     if not path.is_file():
         raise JournalFileError(f"{path}: there is no journal")
     _check_file(path)
-    # whatever a killed process left unfolded lies beside it; without that, SQLite need not make files to read
+    # a killed process leaves a write-ahead log; without one, SQLite can read the file as immutable, creating no files
     beside, shared = path.with_name(path.name + "-wal"), path.with_name(path.name + "-shm")
     how = "mode=ro" if beside.exists() and beside.stat().st_size else "mode=ro&immutable=1"
     was_there = shared.exists()
@@ -178,30 +178,30 @@ def read_journal(path: Path) -> tuple[dict[str, str], list[Event]]:
     except sqlite3.Error as error:
         raise _unusable(path, error) from error
     finally:
-        if not was_there:  # SQLite's index of what is unfolded; a reader that may not write does not clear it away
+        if not was_there:  # SQLite's index of the write-ahead log, which a read-only connection does not remove
             shared.unlink(missing_ok=True)
 
 
 def _create(path: Path, head: Mapping[str, str]) -> sqlite3.Connection:
     if path.exists():
-        raise JournalFileError(f"{path}: exists already; a new mission needs a new directory")
+        raise JournalFileError(f"{path}: already exists; a new mission needs a new directory")
     try:
         descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o644)
         os.close(descriptor)
-        # made whole before WAL mode begins: from then on changes live in another file until they are folded in, and a
-        # journal that was killed young must still be recognised by its header
-        with contextlib.closing(sqlite3.connect(path)) as young:
-            young.execute("PRAGMA synchronous = FULL")
-            young.executescript(f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {SCHEMA_VERSION};")
-            young.executescript(f"BEGIN; {SCHEMA} COMMIT;")
-            with young:
-                young.executemany("INSERT INTO head VALUES (?, ?)", list(head.items()))
+        # completed before WAL mode starts: later changes are in another file until they are merged, and the header must
+        # identify the journal even if the process is killed right after its creation
+        with contextlib.closing(sqlite3.connect(path)) as new:
+            new.execute("PRAGMA synchronous = FULL")
+            new.executescript(f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {SCHEMA_VERSION};")
+            new.executescript(f"BEGIN; {SCHEMA} COMMIT;")
+            with new:
+                new.executemany("INSERT INTO head VALUES (?, ?)", list(head.items()))
         _sync_folder(path.parent)
         connection = _connect(path)
     except OSError as error:
-        raise JournalFileError(f"{path}: cannot be made ({error.strerror})") from error
+        raise JournalFileError(f"{path}: cannot be created ({error.strerror})") from error
     except sqlite3.Error as error:
-        raise JournalFileError(f"{path}: cannot be made ({error})") from error
+        raise JournalFileError(f"{path}: cannot be created ({error})") from error
     return connection
 
 
@@ -222,28 +222,28 @@ def _open(path: Path) -> sqlite3.Connection:
 
 
 def _unusable(path: Path, error: sqlite3.Error | UnicodeDecodeError) -> JournalFileError:
-    """Why a journal cannot be used, in words for whoever wanted to."""
+    """The error for a journal that SQLite cannot open."""
     if "locked" in str(error):
         return JournalFileError(f"{path}: in use by another panoexec; stop that one first")
     if isinstance(error, sqlite3.OperationalError) and "malformed" not in str(error):
         full = shutil.disk_usage(path.parent).free < _ROOM_BYTES
-        why = f"there is no room left in {path.parent}" if full else str(error)
+        why = f"no space left in {path.parent}" if full else str(error)
         return JournalFileError(f"{path}: cannot be opened ({why})")
-    return JournalFileError(f"{path}: damaged ({error}); it was left as it is")
+    return JournalFileError(f"{path}: damaged ({error}); the file was not changed")
 
 
 def _check_pages(path: Path, connection: sqlite3.Connection) -> None:
-    """Raise if the file's pages do not hold together."""
+    """Raise if SQLite's consistency check of the pages fails."""
     try:
         damaged = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
-    except UnicodeDecodeError as error:  # of a text that SQLite wanted to tell of the damage
-        raise JournalFileError(f"{path}: damaged ({error}); it was left as it is") from error
+    except UnicodeDecodeError as error:  # in SQLite's description of the damage
+        raise JournalFileError(f"{path}: damaged ({error}); the file was not changed") from error
     if damaged != "ok":
-        raise JournalFileError(f"{path}: damaged ({' '.join(str(damaged).split())}); it was left as it is")
+        raise JournalFileError(f"{path}: damaged ({' '.join(str(damaged).split())}); the file was not changed")
 
 
 def _check_file(path: Path) -> None:
-    """Refuse what is not ours, newer, or torn, by bytes of the files alone: nothing is opened, nothing can change."""
+    """Reject a foreign, newer or damaged file by its bytes, without opening it in SQLite, so that it is not changed."""
     try:
         with path.open("rb") as file:
             header = file.read(100)
@@ -251,10 +251,10 @@ def _check_file(path: Path) -> None:
         raise JournalFileError(f"{path}: cannot be read ({error.strerror})") from error
     # the database header: magic at 0, user version at 60, application id at 68, big endian
     if len(header) < 100 or header[:16] != b"SQLite format 3\x00":
-        raise JournalFileError(f"{path}: damaged or no journal (not an SQLite file); it was left as it is")
+        raise JournalFileError(f"{path}: damaged or not a journal (not an SQLite file); the file was not changed")
     application, version = int.from_bytes(header[68:72]), int.from_bytes(header[60:64])
     if application != APPLICATION_ID:
-        raise JournalFileError(f"{path}: an SQLite file, but not a journal of panoexec")
+        raise JournalFileError(f"{path}: an SQLite file, but not a panoexec journal")
     if version > SCHEMA_VERSION:
         raise JournalFileError(
             f"{path}: written by a newer panoexec (layout {version}, this one reads up to {SCHEMA_VERSION});"
@@ -265,7 +265,7 @@ def _check_file(path: Path) -> None:
     except OSError as error:
         raise JournalFileError(f"{path}-wal: cannot be read ({error.strerror})") from error
     if lost:
-        raise JournalFileError(f"{path}: damaged ({lost}); it was left as it is")
+        raise JournalFileError(f"{path}: damaged ({lost}); the file was not changed")
 
 
 def _connect(path: Path) -> sqlite3.Connection:
@@ -276,12 +276,12 @@ def _connect(path: Path) -> sqlite3.Connection:
         connection.execute("PRAGMA locking_mode = EXCLUSIVE")
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")
-        connection.execute("BEGIN EXCLUSIVE")  # takes the lock now, not at the first write
+        connection.execute("BEGIN EXCLUSIVE")  # take the lock now, not at the first write
         connection.execute("COMMIT")
     except sqlite3.DatabaseError as error:
         connection.close()
         if not was_there and "locked" not in str(error) and beside.exists() and not beside.stat().st_size:
-            beside.unlink()  # nothing stays behind of a journal that was refused
+            beside.unlink()  # leave no new files beside a rejected journal
         raise
     return connection
 
@@ -302,21 +302,21 @@ def _read_events(path: Path, connection: sqlite3.Connection) -> list[Event]:
         if by == __version__:
             raise _damaged(path, error) from error
         raise JournalFileError(
-            f"{path}: written by panoexec {by}, and tells what this one ({__version__}) does not know ({error});"
-            " resume it with that one"
+            f"{path}: written by panoexec {by}, with content that this version ({__version__}) does not know ({error});"
+            " resume it with that version"
         ) from error
     except (sqlite3.Error, ValueError) as error:
         raise _damaged(path, error) from error
     wrong = next((i for i, event in enumerate(events, start=1) if event.seq != i), None)
     if wrong is not None:
-        raise JournalFileError(f"{path}: damaged (event {wrong} is missing); it was left as it is")
+        raise JournalFileError(f"{path}: damaged (event {wrong} is missing); the file was not changed")
     return events
 
 
 def _damaged(path: Path, error: Exception) -> JournalFileError:
     if "locked" in str(error):
         return JournalFileError(f"{path}: in use by another panoexec; stop that one first")
-    return JournalFileError(f"{path}: damaged ({str(error)[:200]}); it was left as it is")
+    return JournalFileError(f"{path}: damaged ({str(error)[:200]}); the file was not changed")
 
 
 def _sync_folder(path: Path) -> None:

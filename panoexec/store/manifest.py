@@ -1,10 +1,10 @@
-"""manifest.json: what a mission was asked for and what it really took, attempt by attempt (`panoexec.manifest/1`).
+"""manifest.json: what was requested and what was taken, attempt by attempt (`panoexec.manifest/1`).
 
 Attitudes are the camera's (FRD: x boresight, y right of the image, z bottom) in the plan's frame (NED whose x axis is
 the plan's yaw 0): a unit quaternion `[w, x, y, z]` from camera to that frame, and the gimbal's axes in the order yaw,
-roll, pitch (3-1-2): R = Rz(yaw) · Rx(roll) · Ry(pitch). This is the order in which a gimbal's axes are built and in
-which tolerances are meant; at roll 0 it equals the usual 3-2-1 angles. `reference.yaw_north_deg` turns plan yaw into
-yaw from true north. Errors are measured minus target (`planning.geometry.pose_error`), the worst over the exposure.
+roll, pitch (3-1-2): R = Rz(yaw) · Rx(roll) · Ry(pitch). This is the order of a gimbal's axes, to which tolerances
+refer; at roll 0 it equals the usual 3-2-1 angles. `reference.yaw_north_deg` converts plan yaw to yaw from true north.
+Errors are measured minus target (`planning.geometry.pose_error`), the largest over the exposure.
 """
 
 from __future__ import annotations
@@ -43,17 +43,17 @@ CONVENTIONS = {
 
 
 class ManifestWriter:
-    """Keeps manifest.json up to date while a mission flies; it is a sink of the mission's events.
+    """Keeps manifest.json up to date while a mission runs; an event sink.
 
     Args:
         path: the file.
-        plan: what was asked for.
-        record: the mission's own record, read when the file is written.
-        vehicle: what is known of the vehicle, as JSON.
-        clock: paces the writing.
-        certificate: asked for the certificate of the panorama as flown when the file is written.
-        every_s: least time between two writings while the mission flies.
-        battery: asked for the charge, 0 to 1 or NaN, when something happens.
+        plan: the mission's plan.
+        record: the mission's record, read when the file is written.
+        vehicle: data on the vehicle, as JSON.
+        clock: the mission's clock.
+        certificate: returns the certificate of the measured attitudes; called when the file is written.
+        every_s: least time between two writes while the mission runs.
+        battery: returns the charge, 0 to 1 or NaN; called at each event.
     """
 
     def __init__(
@@ -88,16 +88,16 @@ class ManifestWriter:
         self._dirty.set()
 
     def _note_charge(self) -> None:
-        """Keep the charge where it changed by enough to be drawn; it is in no event, so only the manifest has it."""
+        """Record the charge after a visible change; events do not contain it."""
         charge = self._battery()
         if math.isfinite(charge) and (not self._charges or abs(charge - self._charges[-1][1]) >= _CHARGE_STEP_FRAC):
             self._charges.append((self._clock.time(), charge))
 
     async def run(self) -> None:
-        """Write after changes, not too often; runs until cancelled.
+        """Write after changes, at most every `every_s`; runs until cancelled.
 
-        A failure is no reason to end a flight, whose truth is in the journal: it is tried again, and whoever writes the
-        last version hears of it.
+        A failure does not end the mission, because the journal has all data: the write is retried, and the last write
+        raises.
         """
         while True:
             await self._dirty.wait()
@@ -112,7 +112,7 @@ class ManifestWriter:
         """Write the file now.
 
         Raises:
-            UsageError: it cannot be written.
+            UsageError: the file cannot be written.
         """
         text = self.text()
         await asyncio.to_thread(write_atomically, self._path, text)
@@ -120,20 +120,22 @@ class ManifestWriter:
     def text(self) -> str:
         """The manifest as JSON text.
 
-        Of the shots only those are put into words that changed since the last call: hundreds of them every two seconds
-        would be the most expensive thing that a flying daemon does.
+        Only shots that changed since the last call are encoded: encoding hundreds of shots every two seconds would
+        dominate the daemon's CPU time.
         """
         record = self._record
         for index, shot in record.shots.items():
             if index not in self._shots:
                 data = _shot_json(shot, record.reference_yaw_north_deg, self._path.parent)
-                self._shots[index] = f"  {json.dumps(data)}"  # a line: thrice as fast as many, and a third shorter
+                self._shots[index] = (
+                    f"  {json.dumps(data)}"  # one line: three times as fast as indented, and a third shorter
+                )
         head = json.dumps(self._head(), indent=1).removesuffix("\n}")
         shots = ",\n".join(self._shots[index] for index in sorted(record.shots))
         return f'{head},\n "shots": [\n{shots}\n ]\n}}\n'
 
     def _head(self) -> dict[str, Any]:
-        """All but the shots."""
+        """Everything except the shots."""
         record, plan = self._record, self._plan
         certificate = self._certificate()
         tolerance = plan.constraints.tolerance
@@ -171,10 +173,10 @@ class ManifestWriter:
 
 
 def read_manifest(path: Path) -> dict[str, Any]:
-    """A manifest's JSON.
+    """Read a manifest.
 
     Raises:
-        InputFileError: it cannot be read, is not JSON, or not a manifest of this version.
+        InputFileError: it cannot be read, is not JSON, or is not a manifest of this version.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -189,7 +191,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
 
 
 def _earlier_charges(path: Path) -> list[tuple[float, float]]:
-    """The battery's history as an earlier process left it; what cannot be read is no reason not to fly."""
+    """The battery history of an earlier process; empty if it cannot be read."""
     try:
         found = read_manifest(path).get("battery", [])
         return [(datetime.fromisoformat(item["time"]).timestamp(), float(item["charge_frac"])) for item in found]
@@ -255,19 +257,19 @@ def _attempt_json(attempt: AttemptRecord, folder: Path) -> dict[str, Any]:
     return out
 
 
-def file_name(told: str, folder: Path) -> str:
-    """What a camera tells of a file: relative to the mission's directory if it lies in there, else as told."""
-    parts = urlsplit(told)
+def file_name(reported: str, folder: Path) -> str:
+    """A file name or URL reported by the camera, relative to the mission's directory if the file is in it."""
+    parts = urlsplit(reported)
     if parts.scheme == "file" and parts.netloc in {"", "localhost"}:
         path = Path(unquote(parts.path))
         if path.is_relative_to(folder.resolve()):
             return path.relative_to(folder.resolve()).as_posix()
-    return told
+    return reported
 
 
 @functools.lru_cache(maxsize=1024)
 def _target_json(pitch_deg: float, yaw_deg: float) -> dict[str, Any]:
-    """A target as JSON: asked for with each attempt at a shot and each change of it; not to be changed."""
+    """A target as JSON; cached, so callers must not modify it."""
     return _pose_json(pose_of(rotation(yaw_deg, pitch_deg)))
 
 

@@ -1,6 +1,6 @@
-"""A mission with its directory: plan, journal and manifest on disk, the executor between them and the devices.
+"""A mission session: connects the executor with the devices, and with plan, journal and manifest on disk.
 
-The composition that the daemon and the dry-run share.
+Used by the daemon and the dry-run.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from panoexec.store.manifest import ManifestWriter
 
 
 class NotResumableError(UsageError):
-    """A mission that is over, and cannot be resumed; nothing was changed."""
+    """The mission has ended and cannot be resumed; nothing was changed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Devices:
-    """What a mission is flown with."""
+    """The devices of a mission."""
 
     gimbal: Gimbal
     camera: Camera
@@ -49,15 +49,15 @@ class Devices:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredMission:
-    """A mission as its journal tells it, to go on with it.
+    """A mission as stored in its journal.
 
     Attributes:
-        directory: where it lives.
-        journal: open; whoever has this closes it.
-        plan: as it began.
-        settings: as it began.
-        extra: what its owner stored beside (the daemon, the dry-run).
-        events: everything that happened.
+        directory: its directory.
+        journal: open; the owner of this object closes it.
+        plan: the plan at its start.
+        settings: the settings at its start.
+        extra: additional data of the daemon or the dry-run.
+        events: all events so far.
     """
 
     directory: MissionDirectory
@@ -71,17 +71,17 @@ class StoredMission:
 async def create_mission(
     storage: Path, *, plan: Plan, settings: MissionSettings, now_utc_s: float, extra: Mapping[str, Any] | None = None
 ) -> StoredMission:
-    """Make the directory of a new mission, with its plan and its journal.
+    """Create the directory of a new mission, with its plan and journal.
 
     Args:
-        storage: the mission gets a directory below `missions` in it.
-        plan: to be flown.
-        settings: how.
-        now_utc_s: names the mission.
-        extra: kept beside, as JSON.
+        storage: the storage root; the directory is created below its `missions` folder.
+        plan: the plan of the mission.
+        settings: the settings of the mission.
+        now_utc_s: start time, which becomes the mission id.
+        extra: additional data, stored as JSON.
 
     Raises:
-        UsageError: it cannot be written.
+        UsageError: the directory cannot be written.
     """
     directory = await asyncio.to_thread(new_mission_directory, storage, now_utc_s=now_utc_s)
     await asyncio.to_thread(write_plan, directory.plan, plan)
@@ -99,22 +99,22 @@ async def create_mission(
 
 
 async def open_mission(directory: MissionDirectory) -> StoredMission:
-    """Open a mission to go on with it.
+    """Open a stored mission to resume it.
 
     Raises:
-        NotResumableError: it is over.
-        JournalFileError: no journal, or one that cannot be used.
-        InputFileError: the plan in it is wrong.
+        NotResumableError: the mission has ended.
+        JournalFileError: the journal is missing or unusable.
+        InputFileError: the stored plan is invalid.
     """
-    # looked at before it is opened to be written: that folds in what a killed process left beside it, and what is
-    # refused must be left as it is
+    # checked read-only first: opening for writing merges the write-ahead log, and a rejected journal must stay
+    # unchanged
     head, events = await asyncio.to_thread(read_journal, directory.journal)
     try:
         plan_data = json.loads(head["plan"])
         settings = decode(MissionSettings, json.loads(head["settings"]))
         extra = json.loads(head["extra"])
     except (KeyError, ValueError) as error:
-        raise JournalFileError(f"{directory.journal}: damaged ({error}); it was left as it is") from error
+        raise JournalFileError(f"{directory.journal}: damaged ({error}); the file was not changed") from error
     plan = plan_from_data(plan_data, source=f"{directory.journal} (plan)").plan()
     _check_resumable(directory, plan, events)
     journal = await SqliteJournal.open(directory.journal)
@@ -127,7 +127,7 @@ def _check_resumable(directory: MissionDirectory, plan: Plan, events: list[Event
     try:
         record = MissionRecord.from_events(mission_id=directory.mission_id, shots=plan.shots, events=events)
     except (MissionError, ValueError, LookupError) as error:
-        raise JournalFileError(f"{directory.journal}: damaged ({error}); it was left as it is") from error
+        raise JournalFileError(f"{directory.journal}: damaged ({error}); the file was not changed") from error
     if record.state in FINISHED:
         raise NotResumableError(
             f"{directory.path}: the mission is {record.state} ({record.reason}) and cannot be resumed; start a new one"
@@ -135,7 +135,7 @@ def _check_resumable(directory: MissionDirectory, plan: Plan, events: list[Event
 
 
 class _Sinks:
-    """Hands events to several sinks."""
+    """An event sink that forwards events to several sinks."""
 
     def __init__(self, *sinks: EventSink) -> None:
         self._sinks = sinks
@@ -146,20 +146,20 @@ class _Sinks:
 
 
 class MissionSession:
-    """A stored mission and the devices to fly it with.
+    """A stored mission with its devices.
 
     Attributes:
-        stored: directory, plan, settings, past.
-        mission: the executor; its verbs may be used while `run` is under way.
+        stored: directory, plan, settings, past events.
+        mission: the executor; its commands may be used while `run` is running.
     """
 
     def __init__(
-        self, *, stored: StoredMission, mission: Mission, manifest: ManifestWriter, voice: PilotMessenger
+        self, *, stored: StoredMission, mission: Mission, manifest: ManifestWriter, messenger: PilotMessenger
     ) -> None:
         self.stored = stored
         self.mission = mission
         self._manifest = manifest
-        self._voice = voice
+        self._messenger = messenger
 
     @classmethod
     @asynccontextmanager
@@ -174,16 +174,16 @@ class MissionSession:
         reference: Literal["north", "heading"] = "north",
         settings: MissionSettings | None = None,
     ) -> AsyncIterator[Self]:
-        """The session while the block runs; at its end the manifest is written and the journal closed.
+        """Open a session; the journal is closed when the block ends.
 
         Args:
             stored: from `create_mission` or `open_mission`; its journal is closed at the end.
-            devices: to fly with.
-            clock: the mission's time.
-            sink: gets the events.
-            vehicle: what the manifest says of the vehicle, as JSON.
-            reference: for a new mission, what yaw 0 means.
-            settings: instead of the stored ones.
+            devices: the devices to use.
+            clock: the mission's clock.
+            sink: receives the events.
+            vehicle: the manifest's data on the vehicle, as JSON.
+            reference: for a new mission, the reference of the plan's yaw 0.
+            settings: replace the stored ones.
         """
         sinks: list[EventSink] = []
         try:
@@ -195,8 +195,8 @@ class MissionSession:
                 camera=devices.camera,
                 vehicle=devices.vehicle,
                 clock=clock,
-                journal=_Announced(stored.journal, clock),
-                sink=_Sinks(_Late(sinks), sink),
+                journal=_ClockedJournal(stored.journal, clock),
+                sink=_Sinks(_DeferredSinks(sinks), sink),
                 verifier=ThreadedVerifier(plan=stored.plan),
                 reference=reference,
                 past=stored.events,
@@ -210,14 +210,14 @@ class MissionSession:
                 certificate=lambda: mission.certificate,
                 battery=lambda: devices.vehicle.status.battery_frac,
             )
-            voice = PilotMessenger(vehicle=devices.vehicle, record=mission.record)
-            sinks += [writer, voice]
-            yield cls(stored=stored, mission=mission, manifest=writer, voice=voice)
+            messenger = PilotMessenger(vehicle=devices.vehicle, record=mission.record)
+            sinks += [writer, messenger]
+            yield cls(stored=stored, mission=mission, manifest=writer, messenger=messenger)
         finally:
             await stored.journal.close()
 
     async def run(self) -> MissionRecord:
-        """Fly; the manifest is up to date when this ends, however it ends.
+        """Execute the mission; the manifest is written when this ends, in any case.
 
         Raises:
             MissionError: the journal failed.
@@ -227,27 +227,27 @@ class MissionSession:
             async with asyncio.TaskGroup() as group:
                 beside = [
                     group.create_task(self._manifest.run(), name="manifest"),
-                    group.create_task(self._voice.run(), name="words to the pilot"),
+                    group.create_task(self._messenger.run(), name="pilot messages"),
                 ]
                 record = await self.mission.run()
                 for task in beside:
                     task.cancel()
         except BaseException as failure:
             if not isinstance(failure, asyncio.CancelledError):
-                self._voice.tell(PilotMessage("stopped by an error, gimbal is free", Severity.ERROR))
-            await self._voice.farewell()
-            with suppress(UsageError):  # what went wrong first is what counts
+                self._messenger.send(PilotMessage("stopped by an error, gimbal released", Severity.ERROR))
+            await self._messenger.flush()
+            with suppress(UsageError):  # the first error is reported
                 await self._manifest.write()
             if isinstance(failure, BaseExceptionGroup):
                 raise first_failure(failure) from None
             raise
-        await self._voice.farewell()
+        await self._messenger.flush()
         await self._manifest.write()
         return record
 
 
-class _Announced:
-    """A journal of whose work the clock knows."""
+class _ClockedJournal:
+    """A journal that announces its work to the clock."""
 
     def __init__(self, journal: Journal, clock: Clock) -> None:
         self._journal, self._clock = journal, clock
@@ -258,8 +258,8 @@ class _Announced:
             await self._journal.append(events)
 
 
-class _Late:
-    """A sink that is there before those are that read the mission's record."""
+class _DeferredSinks:
+    """A sink that forwards to sinks that are added later, because they need the mission's record."""
 
     def __init__(self, targets: list[EventSink]) -> None:
         self._targets = targets

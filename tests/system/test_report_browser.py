@@ -164,7 +164,7 @@ def test_a_mission_without_anything(browser: Browser, directory: MissionDirector
     browser.show(width=1280)
     browser.open(bare.report)
     assert "0 of 7" in browser.value("document.querySelector('#tiles').textContent")
-    assert "no photos to look at" in browser.value("document.querySelector('#photos').textContent")
+    assert "no usable photos" in browser.value("document.querySelector('#photos').textContent")
     assert_sound(browser)
 
 

@@ -212,14 +212,14 @@ def test_a_mission_without_usable_photos(copy: Path, capsys: pytest.CaptureFixtu
     shutil.rmtree(copy / "images")
     assert app.run(["stitch", str(copy)]) == 1
     message = capsys.readouterr().err
-    assert "none of the 7 accepted photos can be used" in message
+    assert "none of the 7 accepted photos is usable" in message
     assert "copy them from the camera" in message
     document = json.loads((copy / "manifest.json").read_text())
     for shot in document["shots"]:
         shot["accepted_attempt"] = None
     (copy / "manifest.json").write_text(json.dumps(document))
     assert app.run(["stitch", str(copy)]) == 1
-    assert "no accepted photo; there is nothing to stitch" in capsys.readouterr().err
+    assert "no accepted photo to stitch" in capsys.readouterr().err
 
 
 def test_tools_that_are_not_installed_or_fail(

@@ -22,7 +22,7 @@ from panoexec.dryrun.run import DryRunOptions, DryRunSummary, run_dry_run
 from panoexec.inputs.camera_profiles import load_profile
 from panoexec.inputs.plan_file import read_plan_file
 from panoexec.mission.settings import GuardSettings, MissionSettings
-from panoexec.mission.verifier import certify_flown
+from panoexec.mission.verifier import certify_measured
 from panoexec.optics import Camera
 from panoexec.planning.geometry.pose_error import pose_error
 from panoexec.planning.make_plan import make_plan
@@ -130,7 +130,7 @@ def _assert_the_certificate_is_true(summary: DryRunSummary, plan: Plan) -> None:
     # both see the hole that any one image leaves
     for left_out in range(len(turns)):
         keep = [i for i in range(len(turns)) if i != left_out]
-        holed = certify_flown(plan, turns[keep], [rows[i] for i in keep])
+        holed = certify_measured(plan, turns[keep], [rows[i] for i in keep])
         assert not holed.certified
         if _missed(camera, turns[keep], directions):
             assert holed.uncovered_fraction > 0

@@ -55,7 +55,9 @@ async def test_is_not_found_without_its_attitude_and_says_which_message_is_missi
     autopilot: ScriptedPeer, link: MavsdkLink
 ) -> None:
     async with MavsdkGimbal(link) as gimbal:
-        with pytest.raises(DeviceError, match=r"no gimbal within 0\.3 s: no GIMBAL_DEVICE_ATTITUDE_STATUS \(285\)"):
+        with pytest.raises(
+            DeviceError, match=r"no gimbal within 0\.3 s: GIMBAL_DEVICE_ATTITUDE_STATUS \(285\) is not received"
+        ):
             await gimbal.discover(timeout_s=0.3)
         assert gimbal.feed.latest is None
         assert not gimbal.in_control
@@ -68,7 +70,9 @@ async def test_is_not_found_without_a_manager_and_says_so(
     del gimbal_autopilot.builders[280]
     async with MavsdkGimbal(gimbal_link) as gimbal:
         await eventually(lambda: gimbal.feed.latest is not None)
-        with pytest.raises(DeviceError, match=r"no gimbal manager answers for GIMBAL_MANAGER_INFORMATION \(280\)"):
+        with pytest.raises(
+            DeviceError, match=r"no gimbal manager answers the request for GIMBAL_MANAGER_INFORMATION \(280\)"
+        ):
             await gimbal.discover(timeout_s=0.3)
 
 
@@ -104,7 +108,7 @@ async def test_taking_it_is_not_believed_without_confirmation(
 ) -> None:
     gimbal_autopilot.control = (255, 190)
     gimbal_autopilot.answers[1001] = lambda _: 0  # accepted, and nothing done
-    with pytest.raises(DeviceError, match="accepted, but its manager names system 255 component 190 after 3 s"):
+    with pytest.raises(DeviceError, match="accepted, but its manager reports system 255 component 190 after 3 s"):
         await gimbal.acquire()
 
 

@@ -137,7 +137,7 @@ async def test_the_pilot_is_told(autopilot: ScriptedPeer, link: MavsdkLink) -> N
         ev.MissionStarted(shots_total=18),
         ev.PreflightPassed(),
         ev.ShotStarted(shot=0, attempt=1, round=0, pitch_deg=0.0, yaw_deg=0.0, patience_s=1.0),
-        ev.MissionPaused(code="position", reason="3.1 m away from where the mission began", automatic=True),
+        ev.MissionPaused(code="position", reason="3.1 m from where the mission began", automatic=True),
         ev.MissionResumed(paused_s=4.0),
         ev.MissionPaused(code="command", reason="coffee"),
         ev.MissionFinished(reason="enough", accepted=0, missing=(0,), state=MissionState.ABORTED),
@@ -155,12 +155,12 @@ async def test_the_pilot_is_told(autopilot: ScriptedPeer, link: MavsdkLink) -> N
         speaking.cancel()
         await asyncio.wait({speaking})
     assert told() == [
-        (6, "Pano: 18 shots, checking"),
+        (6, "Pano: 18 shots, preflight checks"),
         (5, "Pano: shooting, hold position"),
-        (4, "Pano: paused: drifted off, waiting to be back"),
-        (5, "Pano: goes on at 0/18"),
+        (4, "Pano: paused: drifted, return to start position"),
+        (5, "Pano: continues at 0/18"),
         (5, "Pano: paused: by command"),
-        (4, "Pano: aborted at 0/18, gimbal is free"),
+        (4, "Pano: aborted at 0/18, gimbal released"),
     ]
 
 

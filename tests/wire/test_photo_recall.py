@@ -12,7 +12,7 @@ from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.clock import SystemClock
 from panoexec.devices import EvidenceLevel, PendingCapture
 from panoexec.errors import DeviceError
-from panoexec.mission.protocols import PhotoMemory
+from panoexec.mission.protocols import PhotoRecall
 from tests.wire.scripted_peer import ACCEPTED, DENIED, listening
 from tests.wire.test_mavsdk_camera import CameraPeer
 
@@ -57,7 +57,7 @@ async def test_the_last_photos_are_told_with_their_times() -> None:
         triggers = await _first_life(peer, 5)
         async with MavsdkLink(peer.url, clock=CLOCK) as link, MavsdkCamera(link) as camera:
             await link.wait_autopilot(10)
-            assert isinstance(camera, PhotoMemory)
+            assert isinstance(camera, PhotoRecall)
             found = await camera.recall()
             assert found.image_count == 5
             assert [photo.evidence.image_index for photo in found.photos] == [1, 2, 3, 4, 5][-len(found.photos) :]

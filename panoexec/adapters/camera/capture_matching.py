@@ -1,4 +1,4 @@
-"""Which report proves which photo. Pure bookkeeping of triggers and reports; lives on the event loop.
+"""Matches capture reports to triggers. Pure logic; for the event loop.
 
 Reports of one photo come from several senders (the camera itself, the autopilot's trigger, a counter), late, twice or
 not at all, and in between somebody else may take photos. The camera's clock may run slow or be stepped. A wrong match
@@ -49,7 +49,7 @@ _log = structlog.get_logger(__name__)
 
 
 class Source(StrEnum):
-    """Who reports."""
+    """The message that reports a photo."""
 
     CAPTURED = "CAMERA_IMAGE_CAPTURED"
     FEEDBACK = "CAMERA_FEEDBACK"
@@ -76,12 +76,12 @@ class Report:
 
     @property
     def index(self) -> int:
-        """The sender's number of the photo, -1 if it has none."""
+        """The sender's image index, -1 if it has none."""
         return self.evidence.image_index
 
 
 class Capture:
-    """Implements `PendingCapture`: one trigger and what became known of its photo."""
+    """Implements `PendingCapture`: one trigger and the evidence of its photo."""
 
     def __init__(
         self,
@@ -92,10 +92,10 @@ class Capture:
         synchronise: Callable[[], Awaitable[None]] | None = None,
         final: bool = False,
     ) -> None:
-        """Describe a trigger that is about to go out.
+        """Create it for a trigger that is about to be sent.
 
         Args:
-            number: running number of the trigger.
+            number: sequence number of the trigger.
             clock: of the mission.
             nudge: asks the camera for news, if it can be asked.
             synchronise: asks the camera for a stamp of its clock, if the last one is old.
@@ -105,7 +105,7 @@ class Capture:
         self.sources: dict[Source, Report] = {}
         """The first report of each sender."""
         self.failed = False
-        """A sender said that there is no photo."""
+        """A sender reported that no photo was taken."""
         self._clock = clock
         self._nudge = nudge
         self._synchronise = synchronise
@@ -116,12 +116,12 @@ class Capture:
 
     @property
     def commanded_s(self) -> float:
-        """See `PendingCapture.commanded_s`; NaN before the trigger went out."""
+        """See `PendingCapture.commanded_s`; NaN before the trigger was sent."""
         return self._commanded_s
 
     @property
     def known(self) -> CaptureEvidence:
-        """What is known by now."""
+        """The evidence so far."""
         return self._evidence
 
     @property
@@ -130,7 +130,7 @@ class Capture:
         return self._acknowledged_s
 
     def commanded(self, time_s: float) -> None:
-        """The trigger goes out now; may be called in another thread."""
+        """The trigger is sent now; may be called in another thread."""
         self._commanded_s = time_s
         self._evidence = replace(self._evidence, received_s=time_s)
 
@@ -140,7 +140,7 @@ class Capture:
         self._merge(CaptureEvidence(level=EvidenceLevel.ACKNOWLEDGED, received_s=time_s))
 
     def file_seen(self, time_s: float) -> None:
-        """The file that a report named is there."""
+        """The file that a report named exists."""
         self._merge(CaptureEvidence(level=EvidenceLevel.FILE_SEEN, received_s=time_s))
 
     @property
@@ -154,7 +154,7 @@ class Capture:
         self._changed.set()
 
     def add(self, report: Report) -> None:
-        """Take a report of this photo."""
+        """Add a report of this photo."""
         duplicate = bool(self.sources)
         if report.source is not Source.COUNT:
             self._evidence = replace(self._evidence, contradiction="")
@@ -168,14 +168,14 @@ class Capture:
         self._changed.set()
 
     async def evidence(self, at_least: EvidenceLevel, timeout_s: float) -> CaptureEvidence:
-        """See `PendingCapture.evidence`; returns early when the camera says that there is no photo."""
+        """See `PendingCapture.evidence`; returns early if the camera reports that no photo was taken."""
         if self._is_decided(at_least):
             return self._evidence
         left_s = self._commanded_s + timeout_s - self._clock.monotonic()
         async with asyncio.TaskGroup() as group:
             over = group.create_task(self._clock.sleep(max(0.0, left_s)), name="evidence timeout")
             over.add_done_callback(lambda _: self._changed.set())
-            asking = group.create_task(self._ask(), name="evidence nudge")
+            asking = group.create_task(self._ask(), name="evidence poll")
             while not (over.done() or self._is_decided(at_least)):
                 self._changed.clear()
                 await self._changed.wait()
@@ -198,27 +198,27 @@ class Capture:
             await self._clock.sleep(patience_s)
             patience_s *= 2
             try:
-                await self._nudge(self)
+                await self._poll(self)
             except DeviceError as error:
-                _log.debug("no news of the photo", number=self.number, error=str(error))
+                _log.debug("capture status request failed", number=self.number, error=str(error))
 
-    def _merge(self, news: CaptureEvidence) -> None:
+    def _merge(self, new: CaptureEvidence) -> None:
         old = self._evidence
-        best, other = (news, old) if news.level > old.level else (old, news)
+        best, other = (new, old) if new.level > old.level else (old, new)
 
-        def told(first: float, second: float) -> float:
+        def reported(first: float, second: float) -> float:
             return second if math.isnan(first) else first
 
         self._evidence = CaptureEvidence(
             level=best.level,
             received_s=best.received_s,
-            exposed_vehicle_s=told(best.exposed_vehicle_s, other.exposed_vehicle_s),
+            exposed_vehicle_s=reported(best.exposed_vehicle_s, other.exposed_vehicle_s),
             image_index=best.image_index if best.image_index >= 0 else other.image_index,
             file_url=best.file_url or other.file_url,
-            time_utc_s=told(best.time_utc_s, other.time_utc_s),
-            latitude_deg=told(best.latitude_deg, other.latitude_deg),
-            longitude_deg=told(best.longitude_deg, other.longitude_deg),
-            altitude_m=told(best.altitude_m, other.altitude_m),
+            time_utc_s=reported(best.time_utc_s, other.time_utc_s),
+            latitude_deg=reported(best.latitude_deg, other.latitude_deg),
+            longitude_deg=reported(best.longitude_deg, other.longitude_deg),
+            altitude_m=reported(best.altitude_m, other.altitude_m),
             duplicates=old.duplicates,
             exposed_s=told(best.exposed_s, other.exposed_s),
             exposed_error_s=other.exposed_error_s if math.isnan(best.exposed_s) else best.exposed_error_s,
@@ -248,27 +248,27 @@ class CaptureMatcher:
 
     @property
     def image_count(self) -> int:
-        """The camera's count of images, if it includes every photo triggered since its first count; else -1."""
+        """The camera's image count if it includes every photo triggered since its first count; else -1."""
         counts_all = all(
             Source.COUNT in capture.sources for capture in self._captures if not capture.commanded_s <= self._count_s
         )
         return self._count if self._count is not None and counts_all else -1
 
     def enter(self, capture: Capture) -> None:
-        """A trigger is about to go out."""
+        """Add a trigger that is about to be sent."""
         self._captures.append(capture)
 
     def withdraw(self, capture: Capture) -> None:
-        """A trigger was refused: no photo will come of it."""
+        """Remove a refused trigger: it takes no photo."""
         if capture in self._captures:
             self._captures.remove(capture)
 
     def report(self, report: Report) -> Capture | None:
-        """Take a report; returns the trigger that it belongs to, None for a photo that is not ours."""
+        """Match a report; returns its trigger, or None for a photo that panoexec did not trigger."""
         key = (report.source, report.index)
         if report.index >= 0 and key in self._seen:
             first, capture = self._seen[key]
-            if _same_photo(first, report):
+            if _is_same_photo(first, report):
                 if capture is not None:
                     capture.add(report)
                 return capture
@@ -324,9 +324,10 @@ class CaptureMatcher:
         return None
 
     def counted(self, images: int, received_s: float) -> None:
-        """Take the camera's count of images: each one more proves one trigger since the first count, newest first.
+        """Take the camera's image count: each increment is evidence of one trigger since the first count.
 
-        Newest first, because a count follows a photo at once: if the photo before was lost, the count is not its.
+        The newest trigger comes first, because the count is sent right after a photo: an older trigger without a report
+        has lost its photo.
         """
         before, self._count = self._count, images
         if before is None or images < before:  # the first count, or the card was formatted
@@ -420,8 +421,8 @@ def dated(report: Report, exposed_s: float, error_s: float) -> Report:
     return replace(report, evidence=evidence, exposed_s=exposed_s, error_s=0.0 if math.isnan(error_s) else error_s)
 
 
-def _same_photo(first: Report, again: Report) -> bool:
-    """Whether two reports of one index are of one photo; a camera that rebooted counts from 1 again."""
+def _is_same_photo(first: Report, again: Report) -> bool:
+    """Whether two reports with the same index are of the same photo; a rebooted camera counts from 1 again."""
     apart = again.exposed_s - first.exposed_s
     if math.isfinite(apart):
         return abs(apart) < _SAME_PHOTO_S

@@ -1,4 +1,4 @@
-"""From MAVLink's messages about photos to reports for the ledger. Pure, but for a look whether a file is there."""
+"""Converts MAVLink camera messages to reports for `CaptureMatcher`. Pure, except for a check for the file."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ def captured_report(message: MavMessage, clock: CameraClock) -> Report:
 
 
 def feedback_report(message: MavMessage, *, pin: bool) -> Report:
-    """From CAMERA_FEEDBACK (180), which is sent at the trigger or at the pin's signal: its arrival dates the photo.
+    """From CAMERA_FEEDBACK (180), sent at the trigger or at the pin's signal: its arrival is the exposure time.
 
     Args:
         message: from the autopilot.
-        pin: whether a hot-shoe is wired to the autopilot (CAM1_FEEDBAK_PIN); without, only the trigger is reported.
+        pin: whether a hot-shoe is wired to the autopilot (CAM1_FEEDBAK_PIN); otherwise it only reports the trigger.
     """
     fields = message.fields
     stamp_us = int(fields["time_usec"])
@@ -60,7 +60,7 @@ def feedback_report(message: MavMessage, *, pin: bool) -> Report:
         evidence=CaptureEvidence(
             level=EvidenceLevel.FEEDBACK_PIN if pin else EvidenceLevel.COUNTED,
             received_s=message.received_s,
-            # ArduPilot stamps a pin's signal with 32 bits of microseconds since boot, a trigger with UTC
+            # ArduPilot stamps a pin's signal with 32-bit microseconds since boot, a trigger with UTC
             exposed_vehicle_s=stamp_us / 1e6 if 0 < stamp_us < 2**32 else math.nan,
             image_index=int(fields["img_idx"]),
             exposed_s=message.received_s,
@@ -74,7 +74,7 @@ def feedback_report(message: MavMessage, *, pin: bool) -> Report:
 
 
 def file_is_there(url: str) -> bool:
-    """Whether a URL names a file of this machine that is there and not empty."""
+    """Whether a URL names a file on this machine that exists and is not empty."""
     parts = urlsplit(url)
     if parts.scheme != "file" or parts.netloc not in ("", "localhost"):
         return False
@@ -90,7 +90,7 @@ def _utc_s(stamp_us: Any) -> float:
 
 
 def _position(latitude_1e7: int, longitude_1e7: int, altitude_m: float) -> tuple[float, float, float]:
-    """Latitude, longitude, altitude of a report; NaN for 0/0, which is what senders without a fix write."""
+    """Latitude, longitude, altitude of a report; NaN for 0/0, which senders without a GNSS fix send."""
     if latitude_1e7 == longitude_1e7 == 0:
         return math.nan, math.nan, math.nan
     return latitude_1e7 / 1e7, longitude_1e7 / 1e7, altitude_m

@@ -1,4 +1,4 @@
-"""A camera behind MAVLink: one that speaks the camera protocol, or a shutter on the autopilot's servo or relay."""
+"""A MAVLink camera: one with the camera protocol, or a shutter on the autopilot's servo or relay output."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from panoexec.adapters.link.mavsdk_requests import REQUEST_MESSAGE
 from panoexec.adapters.link.message_hub import MavMessage
 from panoexec.adapters.link.stream_keeper import AUTOPILOT
 from panoexec.clock import latest_s
-from panoexec.devices import EvidenceLevel, PendingCapture, Recollection
+from panoexec.devices import EvidenceLevel, PendingCapture, RecalledPhotos
 from panoexec.errors import DeviceError
 from panoexec.inputs.config import CameraSection
 
@@ -42,7 +42,7 @@ _SYNCHRONISE_S: Final = 4.0
 """A stamp of the camera's clock that is older than this (mission seconds) is asked for anew at the next photo."""
 _SILENT_S: Final = 15.0
 _BYTES_PER_PX: Final = 0.6
-"""Of a fine JPEG, on the safe side: 24 megapixels give 14 MB."""
+"""Upper estimate for a high-quality JPEG: 14 MB for 24 megapixels."""
 
 _log = structlog.get_logger(__name__)
 
@@ -53,9 +53,9 @@ class MavlinkCameraFound:
 
     Attributes:
         component: its MAVLink component; 1 to 6 are shutters of the autopilot.
-        vendor, model: as it states them, "" if it does not.
-        image_width_px, image_height_px: 0 if it does not say.
-        feedback_pin: the autopilot reports the shutter's own signal and not only the trigger.
+        vendor, model: as reported, or "".
+        image_width_px, image_height_px: 0 if not reported.
+        feedback_pin: the autopilot reports the hot-shoe signal and not only the trigger.
     """
 
     component: int
@@ -92,8 +92,8 @@ class MavlinkCameraFound:
 class MavsdkCamera:
     """Implements `OpenCamera`; an async context manager on an open link.
 
-    Photos are proven by the messages themselves: MAVSDK's `capture_info` is silent with ArduPilot, tells no boot time,
-    and goes silent when a camera counts from 1 again.
+    Evidence is read from MAVLink messages: MAVSDK's `capture_info` does not work with ArduPilot, has no boot time, and
+    stops when a camera counts from 1 again.
     """
 
     def __init__(
@@ -104,13 +104,13 @@ class MavsdkCamera:
         feedback_pin: bool | None = None,
         mib_per_image: float | None = None,
     ) -> None:
-        """Describe it; entering the context starts to listen.
+        """Create it; entering the context subscribes to messages.
 
         Args:
             link: to the autopilot, entered before and left after this.
-            component: MAVLink component of the camera; 0 takes a camera that beats, else the autopilot's.
-            feedback_pin: whether CAMERA_FEEDBACK comes from a wired hot-shoe; None asks CAM1_FEEDBAK_PIN.
-            mib_per_image: size of a photo; None estimates it from the image's size.
+            component: MAVLink component of the camera; 0: a camera that sends heartbeats, else the autopilot's.
+            feedback_pin: whether CAMERA_FEEDBACK comes from a wired hot-shoe; None: read CAM1_FEEDBAK_PIN.
+            mib_per_image: size of a photo; None: estimate it from the image's dimensions.
         """
         self._link = link
         self._component = component
@@ -154,12 +154,12 @@ class MavsdkCamera:
 
     @property
     def surplus_photos(self) -> int:
-        """How many photos were reported that we did not trigger."""
-        return self._ledger.surplus
+        """Number of reported photos that panoexec did not trigger."""
+        return self._matcher.foreign_photos
 
     @property
     def age_s(self) -> float:
-        """Real seconds since the camera was last heard of; infinity before."""
+        """Real seconds since the camera's last message; infinity before."""
         if self._found is not None and self._found.by_autopilot:
             return self._link.heartbeat_age_s
         beat = self._link.components.get(self._found.component if self._found else 0, (0, -math.inf))[1]
@@ -173,7 +173,7 @@ class MavsdkCamera:
     # --- life
 
     async def __aenter__(self) -> Self:
-        """Start to listen."""
+        """Subscribe to messages."""
         on = self._link.on
         self._off = [
             on("CAMERA_IMAGE_CAPTURED", self._image_captured),
@@ -188,7 +188,7 @@ class MavsdkCamera:
     async def __aexit__(
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """Stop listening."""
+        """Unsubscribe."""
         for off in self._off:
             off()
 
@@ -199,7 +199,7 @@ class MavsdkCamera:
             timeout_s: real seconds.
 
         Raises:
-            DeviceError: no camera; says what is missing.
+            DeviceError: no camera; the message says what is missing.
             LinkError: no autopilot.
         """
         if self._found is not None:
@@ -223,7 +223,7 @@ class MavsdkCamera:
             feedback_pin=bool(pin),
         )
         for message in (STORAGE_INFORMATION, CAPTURE_STATUS):
-            with contextlib.suppress(DeviceError):  # then it does not say
+            with contextlib.suppress(DeviceError):  # then they are unknown
                 await self._link.requests.command(REQUEST_MESSAGE, [message], component=self._target)
         _log.info("camera found", camera=self._found)
         return self._found
@@ -246,26 +246,26 @@ class MavsdkCamera:
                 self._first_trigger_s = clock.monotonic()
             capture = Capture(self._numbers, clock=clock, nudge=self._ask_for_news, synchronise=self._synchronise)
             capture.commanded(clock.monotonic())
-            self._ledger.enter(capture)
+            self._matcher.enter(capture)
 
             def fire() -> float:
                 capture.commanded(clock.monotonic())
                 take_photo()
-                return latest_s(clock)  # the camera counts its interval from before that
+                return latest_s(clock)  # the camera's interval started before that
 
             try:
-                acknowledged_s = await self._link.requests.vendor_call("taking a photo", fire)
+                acknowledged_s = await self._link.requests.mavsdk_call("taking a photo", fire)
             except DeviceError as error:
                 if error.__cause__ is not None and "TIMEOUT" not in str(error.__cause__):
-                    self._ledger.withdraw(capture)  # refused; without an answer a photo may still come of it
+                    self._matcher.withdraw(capture)  # refused; without an answer a photo may still be taken
                 raise
             capture.acknowledged(acknowledged_s)
             return capture
 
     @property
     def image_count(self) -> int:
-        """See `PhotoMemory.image_count`."""
-        return self._ledger.image_count
+        """See `PhotoRecall.image_count`."""
+        return self._matcher.image_count
 
     @property
     def reports_photos(self) -> bool:
@@ -286,7 +286,7 @@ class MavsdkCamera:
         finally:
             self._recalling = False
 
-    # --- in the vendor's thread
+    # --- in MAVSDK's thread
 
     def _image_captured(self, message: MavMessage) -> None:
         if self._is_ours(message):
@@ -299,7 +299,7 @@ class MavsdkCamera:
     def _capture_status(self, message: MavMessage) -> None:
         if self._is_ours(message):
             self._stamped(message)
-            self._link.post(self._ledger.counted, int(message.fields["image_count"]), message.received_s)
+            self._link.post(self._matcher.counted, int(message.fields["image_count"]), message.received_s)
 
     def _stamped(self, message: MavMessage) -> None:
         if self._is_ours(message):
@@ -331,7 +331,7 @@ class MavsdkCamera:
 
     @property
     def _target(self) -> int:
-        """Component that commands go to: a shutter of the autopilot is the autopilot's."""
+        """Target component of commands: the autopilot for its own shutters."""
         return self._found.component if self._found is not None and not self._found.by_autopilot else AUTOPILOT
 
     def _attach(self) -> None:
@@ -344,7 +344,7 @@ class MavsdkCamera:
         self._list_changed.set()
 
     async def _choose(self) -> Information:
-        """The camera asked for, or one that beats; the autopilot's shutter when no other shows up for a while."""
+        """The requested camera, or one with heartbeats; the autopilot's shutter if no other appears in `_PREFER_S`."""
         since = time.monotonic()
         while True:
             self._list_changed.clear()
@@ -378,19 +378,19 @@ class MavsdkCamera:
         self._heard_s = time.monotonic()
         report = captured_report(message, self._stamps)
         self._last_index = max(self._last_index, report.index)
-        if not self._recalling:  # what was asked for anew proves no photo of ours
-            self._ledger.report(report)
+        if not self._recalling:  # messages sent on request are no new photos
+            self._matcher.report(report)
 
     def _report_feedback(self, message: MavMessage) -> None:
         if self._recalling:
             return
-        self._ledger.report(feedback_report(message, pin=self._found is not None and self._found.feedback_pin))
+        self._matcher.report(feedback_report(message, pin=self._found is not None and self._found.feedback_pin))
 
-    async def _ask_for_news(self, capture: Capture) -> None:
-        """Look for the file of a reported photo; else ask for the count of images, and for a report that was lost.
+    async def _poll_status(self, capture: Capture) -> None:
+        """Check for the file of a reported photo; else request the image count and a report that may have been lost.
 
-        The first image has the index 0 by the protocol and 1 with some cameras; so after the last report comes the
-        next index, and before the first one the count tells, less one.
+        The first image has the index 0 by the protocol and 1 with some cameras. So the requested index is one more than
+        the last reported one, or, before the first report, the image count minus one.
         """
         link, target = self._link, self._target
         if capture.known.level >= EvidenceLevel.CAPTURE_MESSAGE:
@@ -410,16 +410,16 @@ class MavsdkCamera:
 
     def _why_not_found(self) -> str:
         if not self._link.connected:
-            return "no heartbeats of the autopilot"
+            return "no heartbeat from the autopilot"
         seen = ", ".join(str(component) for component in sorted(self._listed)) or "none"
         if self._component and self._listed:
-            return f"component {self._component} was asked for, found were: {seen}"
+            return f"component {self._component} is configured, but MAVSDK found: {seen}"
         beating = [component for component, (kind, _) in self._link.components.items() if kind == _MAV_TYPE_CAMERA]
         if beating:
-            return f"component {beating[0]} beats as a camera but does not answer for CAMERA_INFORMATION (259)"
+            return f"component {beating[0]} sends camera heartbeats but no CAMERA_INFORMATION (259) on request"
         return (
-            "none answers for CAMERA_INFORMATION (259); a camera on a servo or relay: set CAM1_TYPE (ArduPilot) and "
-            "reboot; a MAVLink camera: is it on, and routed to us?"
+            "no component answers requests for CAMERA_INFORMATION (259); camera on a servo or relay: set CAM1_TYPE "
+            "(ArduPilot) and reboot; MAVLink camera: is it on, and does the autopilot forward its messages?"
         )
 
 

@@ -1,7 +1,7 @@
 """A cable release on a serial port: a pulse on RTS or DTR through an opto-coupler, or bytes to an adapter.
 
-Nothing comes back over such a cable. Where the camera's hot-shoe is wired to the autopilot's feedback pin, the
-autopilot's CAMERA_FEEDBACK proves the photos all the same.
+The cable has no return channel. If the camera's hot-shoe is wired to the autopilot's feedback pin, CAMERA_FEEDBACK is
+the evidence of the photos.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ _log = structlog.get_logger(__name__)
 
 
 class FeedbackSource(Protocol):
-    """Where CAMERA_FEEDBACK comes from: a `MavsdkLink`."""
+    """Source of CAMERA_FEEDBACK: a `MavsdkLink`."""
 
     def on(self, name: str, handler: Handler) -> Callable[[], None]:
-        """Call `handler` in another thread with each message; returns what ends it."""
+        """Call `handler` in another thread with each message; returns a function that unsubscribes it."""
         ...
 
     def post(self, callback: Callable[..., None], *args: object) -> None:
-        """Call back on the event loop."""
+        """Call `callback` on the event loop."""
         ...
 
 
@@ -84,16 +84,16 @@ class SerialShutter:
         feedback_pin: bool = True,
         is_wired: Callable[[], Awaitable[bool]] | None = None,
     ) -> None:
-        """Describe it; entering the context opens the port.
+        """Create it; entering the context opens the port.
 
         Args:
-            port: the serial device, best by its /dev/serial/by-id name.
+            port: the serial device, preferably by its /dev/serial/by-id name.
             clock: of the mission.
-            line: what closes the contact.
+            line: the line, or `bytes`, that closes the contact.
             payload: bytes to send, for `line = "bytes"`.
             pulse_s: how long the line is held, real seconds.
-            inverted: the contact is closed while the line is low. Linux raises RTS and DTR for a moment when a port is
-                opened, which an inverted release does not take for a photo.
+            inverted: the contact is closed while the line is low. Linux raises RTS and DTR briefly when a port is
+                opened, which does not trigger an inverted release.
             baud: bits a second, for bytes.
             feedback: where CAMERA_FEEDBACK comes from, if the hot-shoe is wired to the autopilot.
             feedback_pin: whether CAMERA_FEEDBACK means the pin's signal.
@@ -111,13 +111,13 @@ class SerialShutter:
         self._is_wired = is_wired
         self._serial: serial.Serial | None = None
         self._calls = WorkerCalls("serial shutter", threads=1)
-        self._ledger = CaptureMatcher()
+        self._matcher = CaptureMatcher()
         self._numbers = 0
         self._off: list[Callable[[], None]] = []
 
     @property
     def storage_free_images(self) -> float:
-        """A cable does not say."""
+        """Always infinity: unknown over a cable."""
         return math.inf
 
     @property
@@ -148,7 +148,7 @@ class SerialShutter:
     async def __aexit__(
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """Close the port, the contact open; waits for a pulse that is under way."""
+        """Open the contact and close the port; waits for the end of a running pulse."""
         for off in self._off:
             off()
         with contextlib.suppress(TimeoutError):
@@ -169,12 +169,12 @@ class SerialShutter:
         """See `Camera.trigger`; returns when the contact is closed or the bytes are sent.
 
         Raises:
-            LinkError: the port is gone.
+            LinkError: the port failed.
         """
         self._numbers += 1
         capture = Capture(self._numbers, clock=self._clock, final=self._feedback is None)
         capture.commanded(self._clock.monotonic())
-        self._ledger.enter(capture)
+        self._matcher.enter(capture)
         loop = asyncio.get_running_loop()
         closed: asyncio.Future[None] = loop.create_future()
 
@@ -183,7 +183,7 @@ class SerialShutter:
             capture.commanded(self._clock.monotonic())
             try:
                 self._start(port)
-                with contextlib.suppress(RuntimeError):  # the loop was closed: nobody waits any more
+                with contextlib.suppress(RuntimeError):  # the loop was closed: no task waits any more
                     loop.call_soon_threadsafe(_settle, closed)
                 self._end(port)
             except (OSError, serial.SerialException) as error:
@@ -191,10 +191,10 @@ class SerialShutter:
                 raise LinkError(f"serial shutter {self._port}: {_reason(error)}") from error
 
         pulse = self._calls.submit(fire)
-        pulse.add_done_callback(_log_failure)  # whoever waits may be cancelled
+        pulse.add_done_callback(_log_failure)  # the waiting task may be cancelled
         await asyncio.wait({pulse, closed}, return_when=asyncio.FIRST_COMPLETED)
         if not closed.done():
-            self._ledger.withdraw(capture)
+            self._matcher.withdraw(capture)
             pulse.result()
         return capture
 
@@ -251,7 +251,7 @@ class SerialShutter:
             self._feedback.post(self._take_report, message)
 
     def _take_report(self, message: MavMessage) -> None:
-        self._ledger.report(feedback_report(message, pin=self._feedback_pin))
+        self._matcher.report(feedback_report(message, pin=self._feedback_pin))
 
 
 def _settle(closed: asyncio.Future[None]) -> None:
@@ -261,7 +261,7 @@ def _settle(closed: asyncio.Future[None]) -> None:
 
 def _log_failure(pulse: asyncio.Future[None]) -> None:
     if not pulse.cancelled() and (error := pulse.exception()) is not None:
-        _log.warning("a shutter pulse failed", error=str(error))
+        _log.warning("shutter pulse failed", error=str(error))
 
 
 def _reason(error: Exception) -> str:

@@ -1,4 +1,4 @@
-"""The stream of attitudes as the mission reads it: what came lately, what comes next, and how the airframe stood."""
+"""Buffer of the gimbal's attitude samples and of the airframe's attitudes."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ KEEP_S: Final = 60.0
 """How long samples are kept, on the mission's clock (`AttitudeFeed.since`)."""
 
 PAIR_S: Final = 0.1
-"""Furthest in time that an airframe's attitude may be from the sample that it is paired with."""
+"""Greatest time difference between a sample and the airframe's attitude that it is paired with."""
 
 SOURCE_SILENT_S: Final = 1.0
-"""After this silence of the chosen source another one is taken."""
+"""After this silence of the selected source another one is selected."""
 
 
 class AttitudeBuffer:
     """Implements `AttitudeFeed`; for the event loop.
 
-    An ArduPilot that drives a MAVLink gimbal sends a second, relabelled copy of the gimbal's own reports (always
-    "vehicle frame", rates and failures dropped); so reports of the gimbal itself are preferred to the autopilot's.
+    An ArduPilot that drives a MAVLink gimbal sends a second, modified copy of the gimbal's reports (always in the
+    vehicle frame, without rates and failure flags), so reports of the gimbal itself are preferred.
     """
 
     def __init__(self, *, autopilot_component: int = 1, ingest: Callable[[], None] = lambda: None) -> None:
@@ -51,11 +51,11 @@ class AttitudeBuffer:
 
     @property
     def is_awaited(self) -> bool:
-        """Whether somebody waits for the next sample; may be asked in any thread."""
+        """Whether a task waits for the next sample; may be called in any thread."""
         return bool(self._waiters)
 
     def put_sample(self, sample: AttitudeSample, component: int) -> bool:
-        """Take a report of the gimbal; False if another component is listened to."""
+        """Add a report of the gimbal; False if another source is selected."""
         if not self._from_chosen_source(component, sample.received_s):
             return False
         _keep(self._samples, sample)
@@ -65,7 +65,7 @@ class AttitudeBuffer:
         return True
 
     def put_vehicle(self, attitude: VehicleAttitude) -> None:
-        """Take a report of the airframe."""
+        """Add an attitude of the airframe."""
         _keep(self._vehicle, attitude)
 
     def rebooted(self) -> None:
@@ -108,9 +108,9 @@ class AttitudeBuffer:
                 self._waiters.remove(waiter)
 
     def vehicle_attitude_at(self, sample: AttitudeSample) -> VehicleAttitude | None:
-        """See `AttitudeFeed.vehicle_attitude_at`; between two reports it is interpolated, after the last continued.
+        """See `AttitudeFeed.vehicle_attitude_at`; interpolated between two reports, extrapolated after the last.
 
-        Paired by the senders' boot time when the autopilot stamped both, else by arrival (a gimbal has its own clock).
+        Paired by boot time if the autopilot stamped both, else by arrival (a gimbal has a clock of its own).
         """
         if self._source == self._autopilot_component and math.isfinite(sample.vehicle_s):
             return _nearest(self._vehicle, sample.vehicle_s, lambda attitude: attitude.vehicle_s)
@@ -138,11 +138,10 @@ def _keep(kept: deque[_Stamped], newest: _Stamped) -> None:
 def _nearest(
     attitudes: deque[VehicleAttitude], time_s: float, stamp: Callable[[VehicleAttitude], float]
 ) -> VehicleAttitude | None:
-    """The attitude at `time_s`: interpolated between its neighbours, continued from the two before, or the nearest.
+    """The attitude at `time_s`: interpolated between its neighbours, extrapolated from the two before, or the nearest.
 
-    Continued by no more than the time between those two, so that errors grow no more than threefold; None if none is
-    near enough. By bisection: while a backlog is worked off, the wanted one is far from the newest, and a search from
-    there would make the backlog grow.
+    Extrapolated by at most the time between those two, so that errors grow at most threefold; None if none is within
+    `PAIR_S`. Searched by bisection: while a backlog is processed, the result is far from the newest one.
     """
     after = bisect_right(attitudes, time_s, key=stamp)
     earlier = attitudes[after - 1] if after > 0 else None

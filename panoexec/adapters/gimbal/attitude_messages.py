@@ -1,4 +1,4 @@
-"""From MAVLink's attitude messages to the samples of `devices`. Pure; fields as JSON gives them (NaN is None)."""
+"""Converts MAVLink attitude messages to the samples of `devices`. Pure; fields as in MAVSDK's JSON (NaN is None)."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _UNKNOWN: Final[Quaternion] = (_NAN, _NAN, _NAN, _NAN)
 
 
 def number(value: Any) -> float:
-    """A field as float; NaN where the message holds none (JSON has no NaN: MAVSDK writes null)."""
+    """A field as float; NaN for null (JSON has no NaN: MAVSDK writes null)."""
     return _NAN if value is None else float(value)
 
 
 def yaw_frame(flags: int) -> YawFrame:
-    """What a gimbal device's attitude is relative to, by GIMBAL_DEVICE_FLAGS.
+    """The frame of a gimbal device's attitude, from GIMBAL_DEVICE_FLAGS.
 
-    Devices that know neither of the frame flags (before their introduction in 2022) are in the earth frame when yaw is
-    locked, else in the vehicle's (GIMBAL_DEVICE_ATTITUDE_STATUS, message 285).
+    Devices that set neither of the frame flags (introduced in 2022) use the earth frame when yaw is locked, else the
+    vehicle frame (GIMBAL_DEVICE_ATTITUDE_STATUS, message 285).
     """
     if flags & YAW_IN_EARTH_FRAME:
         return YawFrame.EARTH
@@ -46,17 +46,17 @@ def gimbal_sample(
     Args:
         fields: of the message.
         received_s: when it arrived, on the mission's clock.
-        frame: overrules the flags, for a mount that states the wrong one.
-        heading_deg: the vehicle's at the moment of the report, if it is known: then a sample in the vehicle's frame is
-            turned into the earth's (285: q_earth = q_delta_yaw * q_vehicle).
+        frame: overrides the flags, for a mount that sets the wrong ones.
+        heading_deg: the vehicle's heading at the time of the report; if known, a sample in the vehicle frame is
+            converted to the earth frame (285: q_earth = q_delta_yaw * q_vehicle).
 
     Raises:
-        KeyError, TypeError, ValueError: the fields are not those of 285.
+        KeyError, TypeError, ValueError: invalid fields.
     """
-    told = fields["q"]  # the common case, all numbers told, goes the short way: 50 of these come a second
-    w, x, y, z = told if None not in told else _UNKNOWN
+    reported = fields["q"]  # without `number` for speed: this runs at 50 Hz
+    w, x, y, z = reported if None not in reported else _UNKNOWN
     norm = math.sqrt(w * w + x * x + y * y + z * z)
-    # a quaternion of zeros is no attitude; NaN says so to everyone
+    # a zero quaternion is not an attitude: mark it as NaN
     q = (w / norm, x / norm, y / norm, z / norm) if norm > 1e-6 else _UNKNOWN
     frame = frame or yaw_frame(fields["flags"])
     if frame is YawFrame.VEHICLE and math.isfinite(heading_deg):
@@ -72,25 +72,25 @@ def gimbal_sample(
 
 
 def told_heading_deg(fields: Mapping[str, Any]) -> float:
-    """The vehicle's heading as a gimbal tells it in 285 (`delta_yaw`); NaN where it is unknown or to be ignored."""
+    """The vehicle's heading as a gimbal reports it in 285 (`delta_yaw`); NaN if unknown or to be ignored."""
     if not fields["flags"] & (YAW_IN_VEHICLE_FRAME | YAW_IN_EARTH_FRAME):
         return _NAN
     return math.degrees(number(fields.get("delta_yaw")))
 
 
 def _turned(q: Quaternion, yaw_deg: float) -> Quaternion:
-    """The attitude turned about the vertical: Rz(yaw) * q."""
+    """The attitude rotated about the vertical: Rz(yaw) * q."""
     c, s = math.cos(math.radians(yaw_deg) / 2), math.sin(math.radians(yaw_deg) / 2)
     w, x, y, z = q
     return (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
 
 
 def _rate_deg_s(fields: Mapping[str, Any], q: Quaternion) -> float:
-    """Angular speed against the world.
+    """Angular speed relative to the earth.
 
-    In the vehicle's frame the reported one lacks the vehicle's own turning (285: w_earth = w_delta_yaw_velocity +
-    w_vehicle), which is a gimbal's steady work in wind and no motion of the camera. Unknown (NaN) without it; exactly 0
-    is what the field holds that an older gimbal does not send.
+    In the vehicle frame the reported rates lack the vehicle's own yaw rate (285: w_earth = w_delta_yaw_velocity +
+    w_vehicle), which a gimbal compensates in wind and which is no motion of the camera. NaN if `delta_yaw_velocity` is
+    unknown; exactly 0 counts as unknown, as the value of a field that older gimbals do not send.
     """
     rates = fields["angular_velocity_x"], fields["angular_velocity_y"], fields["angular_velocity_z"]
     if None in rates:
@@ -104,7 +104,7 @@ def _rate_deg_s(fields: Mapping[str, Any], q: Quaternion) -> float:
 
 
 def _down(q: Quaternion) -> tuple[float, float, float]:
-    """The world's vertical (down) in the camera's axes."""
+    """The earth's vertical (down) in the camera's axes."""
     w, x, y, z = q
     return 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
 
@@ -113,7 +113,7 @@ def vehicle_attitude(fields: Mapping[str, Any], received_s: float) -> VehicleAtt
     """The airframe's attitude from ATTITUDE (30): Euler angles 3-2-1 (yaw, pitch, roll), radians, to a quaternion.
 
     Raises:
-        KeyError, TypeError, ValueError: the fields are not those of 30.
+        KeyError, TypeError, ValueError: invalid fields.
     """
     roll, pitch, yaw = number(fields["roll"]) / 2, number(fields["pitch"]) / 2, number(fields["yaw"]) / 2
     cr, cp, cy = math.cos(roll), math.cos(pitch), math.cos(yaw)
@@ -131,15 +131,15 @@ def vehicle_attitude(fields: Mapping[str, Any], received_s: float) -> VehicleAtt
 
 
 def manager_limits(fields: Mapping[str, Any]) -> GimbalLimits | None:
-    """Limits from GIMBAL_MANAGER_INFORMATION (280, radians; yaw relative to the vehicle); None if it states none."""
+    """Limits from GIMBAL_MANAGER_INFORMATION (280, radians; yaw relative to the vehicle); None if it has none."""
     low, high, left, right = (
         # single precision radians: a limit of -90° must not come out as -89.999996°
         round(math.degrees(number(fields[key])), 3)
         for key in ("pitch_min", "pitch_max", "yaw_min", "yaw_max")
     )
-    # all zero and NaN are what a manager states that does not know; a gimbal without a pan axis says that it has none
-    told = int(fields.get("cap_flags") or 0)
-    if told and not told & HAS_YAW_AXIS and not left < right:
+    # a manager that knows no limits sends zeros or NaN; a gimbal without a pan axis says so in its capability flags
+    capabilities = int(fields.get("cap_flags") or 0)
+    if capabilities and not capabilities & HAS_YAW_AXIS and not left < right:
         left = right = 0.0
     elif not left < right:
         return None
@@ -150,7 +150,7 @@ def manager_limits(fields: Mapping[str, Any]) -> GimbalLimits | None:
         pitch_max_deg=high,
         yaw_min_deg=left,
         yaw_max_deg=right,
-        # 3.14 rad, as some managers write π, is a full circle too
+        # some managers send 3.14 rad for π
         yaw_endless=right - left >= 359.5,
     )
 

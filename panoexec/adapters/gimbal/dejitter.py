@@ -1,7 +1,8 @@
-"""When a message was sent, on the mission's clock: arrival times without the jitter of this computer and of the link.
+"""Send times of messages on the mission's clock: arrival times without the jitter of this computer and of the link.
 
-A busy computer delivers messages in bursts. Judged by arrival, a burst looks like a silence of the sender followed by
-samples of one moment, and a silence is no proof of a pose. The sender's own stamps are even; they only need an offset.
+A busy computer delivers messages in bursts. By arrival time, a burst looks like a gap in the stream followed by
+simultaneous samples, and a pose is not verified during a gap. The sender's time stamps are regular and only need an
+offset.
 """
 
 from __future__ import annotations
@@ -11,15 +12,15 @@ from collections import deque
 from typing import Final
 
 _WINDOW_S: Final = 0.5
-"""The fastest message of so long a time tells the offset. Short, because the sender's clock may run at another speed
-than ours (a simulation that cannot keep up): then the offset must follow."""
+"""The message with the least delay in this window sets the offset. The window is short because the sender's clock may
+run at another rate (a simulation that cannot keep up), which the offset must follow."""
 
 
 class StampDejitter:
-    """Turns the stamps of one stream into the mission's clock; fed in the order of arrival, from one thread.
+    """Converts the time stamps of one stream to the mission's clock; fed in the order of arrival, from one thread.
 
-    The result is never later than the arrival, never earlier than the sending less the shortest delay of half a second,
-    and never before the result of an earlier message.
+    The result is never later than the arrival, at most as late after the sending as the fastest message of the window,
+    and never earlier than the result of an earlier message.
     """
 
     def __init__(self) -> None:
@@ -32,11 +33,11 @@ class StampDejitter:
         """When a message was sent, seconds of the mission's clock.
 
         Args:
-            stamp_s: the sender's boot time in it; NaN if it has none.
+            stamp_s: the sender's boot time; NaN if unknown.
             received_s: when it arrived.
 
         Returns:
-            The arrival itself where stamps tell nothing: none, standing still, or begun anew (a reboot).
+            The arrival time if the stamp is unusable: missing, not increasing, or reset by a reboot.
         """
         if not stamp_s > self._newest_stamp_s:
             if stamp_s < self._newest_stamp_s:

@@ -1,4 +1,4 @@
-"""A gimbal behind a MAVLink gimbal manager (protocol v2): found, taken, pointed, watched, given back."""
+"""A gimbal behind a MAVLink gimbal manager (protocol v2): discover, acquire, point, receive attitudes, release."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ from panoexec.errors import DeviceError
 from panoexec.planning.model import GimbalLimits
 
 Feedback: TypeAlias = Literal["earth", "vehicle", "body", "none"]
-"""What the attitude reports are worth: measured in the earth's or the vehicle's frame, the servo angles that were
-demanded, or an echo of the target."""
+"""Kind of the attitude reports: measured in the earth or the vehicle frame, commanded servo angles (`body`), or an
+echo of the setpoint (`none`)."""
 
 ATTITUDE_STATUS: Final = 285
 ATTITUDE: Final = 30
@@ -60,14 +60,14 @@ _log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GimbalFound:
-    """What discovery found.
+    """The result of discovery.
 
     Attributes:
-        gimbal_id: MAVSDK's number of it.
+        gimbal_id: its id in MAVSDK.
         manager_component: MAVLink component of its manager.
-        device_id: the manager's number of it.
-        vendor, model: as it states them, "" if it does not.
-        feedback: what its attitude reports are worth.
+        device_id: its gimbal device id.
+        vendor, model: as reported, or "".
+        feedback: the kind of its attitude reports.
     """
 
     gimbal_id: int
@@ -81,17 +81,17 @@ class GimbalFound:
 class MavsdkGimbal:
     """Implements `Gimbal`; an async context manager on an open link, valid across reboots of the autopilot.
 
-    The attitude comes from the messages themselves and not from MAVSDK's gimbal plugin, which drops the frame and
-    failure flags, pairs yaw with whatever ATTITUDE came last, and listens to one of two sources only.
+    The attitude is read from MAVLink messages, not from MAVSDK's gimbal plugin, which drops the frame and failure
+    flags, pairs yaw with the last received ATTITUDE, and receives only one of two sources.
     """
 
     def __init__(self, link: MavsdkLink, *, feedback: Feedback | None = None) -> None:
-        """Describe it; entering the context starts to listen.
+        """Create it; entering the context subscribes to messages.
 
         Args:
             link: to the autopilot, entered before and left after this.
-            feedback: overrules what the gimbal says of its reports; None believes it, or the mount's type where the
-                autopilot tells that.
+            feedback: overrides the reported kind; None: use the frame flags, or the mount type if the autopilot has
+                that parameter.
         """
         self._link = link
         self._feedback_wanted = feedback
@@ -131,12 +131,12 @@ class MavsdkGimbal:
 
     @property
     def controlled_by(self) -> tuple[int, int] | None:
-        """MAVLink system and component in primary control, (0, 0) for nobody; None before the first status."""
+        """MAVLink system and component in primary control, (0, 0) for none; None before the first status."""
         return None if self._control is None else self._holder(self._control)
 
     @property
     def found(self) -> GimbalFound | None:
-        """What discovery found; None before."""
+        """The result of discovery; None before."""
         return self._found
 
     @property
@@ -145,10 +145,10 @@ class MavsdkGimbal:
         pending = (message.heard_s for message in reversed(self._reports.pending) if self._is_own_report(message))
         return time.monotonic() - next(pending, self._sample_s)
 
-    # --- life
+    # --- life cycle
 
     async def __aenter__(self) -> Self:
-        """Start to listen."""
+        """Subscribe to messages."""
         self._off = [
             self._link.on("GIMBAL_DEVICE_ATTITUDE_STATUS", self._reports.put),
             self._link.on("ATTITUDE", self._reports.put),
@@ -161,20 +161,20 @@ class MavsdkGimbal:
     async def __aexit__(
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """Stop listening; does not release the gimbal."""
+        """Unsubscribe; does not release the gimbal."""
         for off in self._off:
             off()
 
     async def discover(self, timeout_s: float = 15.0) -> GimbalFound:
-        """Return when the gimbal is there, its limits asked for and its feedback known.
+        """Return when the gimbal was found, its limits were requested and its kind of feedback is known.
 
-        An ArduPilot that drives the gimbal itself is listed by MAVSDK some 5 s after its first attitude report.
+        MAVSDK lists a gimbal that ArduPilot drives itself about 5 s after its first attitude report.
 
         Args:
             timeout_s: real seconds.
 
         Raises:
-            DeviceError: no gimbal; says what is missing.
+            DeviceError: no gimbal; the message says what is missing.
             LinkError: no autopilot.
         """
         if self._found is not None:
@@ -183,7 +183,7 @@ class MavsdkGimbal:
         try:
             async with asyncio.timeout(timeout_s):
                 await self._listed.wait()
-                # who sends the attitude tells what it is worth; the list may come before the first report
+                # the kind of feedback depends on the sender; the list may arrive before the first report
                 await self._buffer.newer_than(-math.inf)
         except TimeoutError as error:
             raise DeviceError(f"no gimbal within {timeout_s:g} s: {self._why_not_found()}") from error
@@ -201,13 +201,13 @@ class MavsdkGimbal:
         return self._found
 
     async def acquire(self) -> None:
-        """See `Gimbal.acquire`. Also asks for the attitude at full rate."""
+        """See `Gimbal.acquire`. Also requests the attitude at full rate."""
         gimbal = await self.discover()
         await self._link.use_rates(active=True)
         plugin = self._link.requests.plugin(Gimbal)
         take = partial(plugin.take_control, gimbal.gimbal_id, ControlMode.PRIMARY)
         self._control = None
-        await self._link.requests.vendor_call("taking control of the gimbal", take)
+        await self._link.requests.mavsdk_call("taking control of the gimbal", take)
         try:
             async with asyncio.timeout(_TAKE_S):
                 await self._ask_status(gimbal.manager_component)
@@ -215,11 +215,11 @@ class MavsdkGimbal:
                     self._status_came.clear()
                     await self._status_came.wait()
         except TimeoutError as error:
-            holder = (
-                "nobody" if self._control is None else "system {} component {}".format(*self._holder(self._control))
-            )
+            holder = "no primary control"
+            if self._control is not None:
+                holder = "system {} component {}".format(*self._holder(self._control))
             raise DeviceError(
-                f"taking control of the gimbal: accepted, but its manager names {holder} after {_TAKE_S:g} s"
+                f"taking control of the gimbal: accepted, but its manager reports {holder} after {_TAKE_S:g} s"
             ) from error
 
     async def point(self, pitch_deg: float, yaw_deg: float | None) -> None:
@@ -236,22 +236,22 @@ class MavsdkGimbal:
             GimbalMode.YAW_FOLLOW if yaw_deg is None else GimbalMode.YAW_LOCK,
             SendMode.ONCE,
         )
-        where = "along the nose" if yaw_deg is None else f"yaw {yaw_deg:.1f}°"
-        await self._link.requests.vendor_call(f"pointing the gimbal at pitch {pitch_deg:.1f}° {where}", set_angles)
+        where = "along the heading" if yaw_deg is None else f"yaw {yaw_deg:.1f}°"
+        await self._link.requests.mavsdk_call(f"pointing the gimbal at pitch {pitch_deg:.1f}° {where}", set_angles)
 
     async def release(self) -> None:
-        """See `Gimbal.release`. Also lets the attitude come at the slow rate."""
+        """See `Gimbal.release`. Also requests the attitude at the idle rate."""
         with contextlib.suppress(DeviceError, TimeoutError):
             async with asyncio.timeout(_RELEASE_S):
                 if self._found is not None:
                     plugin = self._link.requests.plugin(Gimbal)
                     give = partial(plugin.release_control, self._found.gimbal_id)
-                    await self._link.requests.vendor_call("releasing the gimbal", give)
+                    await self._link.requests.mavsdk_call("releasing the gimbal", give)
                     self._control = None
                 await self._link.use_rates(active=False)
                 return
         self._link.streams.active = False
-        _log.warning("the gimbal did not answer when it was released")
+        _log.warning("gimbal release was not acknowledged")
 
     # --- reports, on the loop
 
@@ -298,11 +298,11 @@ class MavsdkGimbal:
             self._heading.vehicle(math.degrees(number(message.fields["yaw"])), sent_s)
 
     def _sent_s(self, message: MavMessage) -> float:
-        """When a message was sent, free of the jitter with which it arrived; one stream a component and kind."""
+        """When a message was sent, without jitter; each component and message name is a stream of its own."""
         stamps = self._stamps.setdefault((message.component_id, message.name), StampDejitter())
         return stamps.sent_s(number(message.fields["time_boot_ms"]) / 1000.0, message.received_s)
 
-    # --- in the vendor's thread
+    # --- in MAVSDK's thread
 
     def _information(self, message: MavMessage) -> None:
         limits = manager_limits(message.fields)
@@ -334,11 +334,11 @@ class MavsdkGimbal:
         self._control = None
 
     def _source_changed(self, component: int, stated: YawFrame, used: YawFrame) -> None:
-        """Ask only for what is needed: the daemon's computing time goes into messages that reach Python.
+        """Throttle streams that are not needed: each message that reaches Python costs CPU time.
 
-        The autopilot's copy of the reports is slowed while the gimbal's own arrive. Its attitude is needed as often as
-        they come to compose them with it; less often where it only corrects the heading that the gimbal tells; hardly
-        at all for reports relative to the earth.
+        The autopilot's copy of the reports is throttled while the gimbal's own arrive. The vehicle's attitude is needed
+        at the same rate to compose body and vehicle frames; at a lower rate if it only corrects the heading that the
+        gimbal reports; hardly at all for reports in the earth frame.
         """
         throttled = self._link.streams.throttled
         throttled.pop(ATTITUDE_STATUS, None)
@@ -351,7 +351,7 @@ class MavsdkGimbal:
     async def _ask_limits(self, manager: int) -> None:
         if self._limits is not None:
             return
-        with contextlib.suppress(DeviceError):  # then there are none
+        with contextlib.suppress(DeviceError):  # then no limits are known
             self._information(
                 await self._link.requests.message(MANAGER_INFORMATION, "GIMBAL_MANAGER_INFORMATION", component=manager)
             )
@@ -361,7 +361,7 @@ class MavsdkGimbal:
             await self._link.requests.message(MANAGER_STATUS, "GIMBAL_MANAGER_STATUS", component=manager)
 
     async def _find_feedback(self, device_id: int) -> Feedback:
-        """Which feedback the mount gives; ArduPilot states the vehicle's frame even for what is none (see docs)."""
+        """The mount's kind of feedback; ArduPilot sets the vehicle frame even without feedback (see docs)."""
         if self._feedback_wanted is not None:
             return self._feedback_wanted
         stated: Feedback = "earth" if self._stated is YawFrame.EARTH else "vehicle"
@@ -375,13 +375,13 @@ class MavsdkGimbal:
 
     def _why_not_found(self) -> str:
         if not self._link.connected:
-            return "no heartbeats of the autopilot"
+            return "no heartbeat from the autopilot"
         if self._sample_s == -math.inf:
             return (
-                "no GIMBAL_DEVICE_ATTITUDE_STATUS (285) arrives; ArduPilot: set MNT1_TYPE and reboot; "
+                "GIMBAL_DEVICE_ATTITUDE_STATUS (285) is not received; ArduPilot: set MNT1_TYPE and reboot; "
                 "PX4: set MNT_MODE_OUT and MNT_MODE_IN to MAVLink gimbal protocol v2"
             )
-        return "its attitude arrives, but no gimbal manager answers for GIMBAL_MANAGER_INFORMATION (280)"
+        return "its attitude arrives, but no gimbal manager answers the request for GIMBAL_MANAGER_INFORMATION (280)"
 
     @staticmethod
     def _holder(status: ControlStatus) -> tuple[int, int]:

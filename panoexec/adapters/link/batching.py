@@ -1,4 +1,4 @@
-"""Messages on their way from the vendor's thread to the event loop, many at a time.
+"""Batches messages from MAVSDK's thread for the event loop.
 
 What a message costs is mostly what it costs to begin with it: a thread that wakes up finds its code and data gone from
 the processor's caches, so that the first report takes ten times as long as the next one (measured: 180 µs against
@@ -17,12 +17,12 @@ from panoexec.adapters.link.message_hub import MavMessage
 GATHER_S: Final = 1.0
 """Real seconds after which what has gathered is ingested though no reader says so."""
 
-WAITING_MOST: Final = 20_000
-"""So many are kept while the loop is busy; 60 s at 300 Hz. The oldest go."""
+MAX_WAITING: Final = 20_000
+"""Queue length: 60 s at 300 Hz. When it is exceeded, the oldest message is dropped."""
 
 
 class MessageBatcher:
-    """`put` is for the vendor's thread, all else for the event loop."""
+    """A queue of messages. `put` is for MAVSDK's thread, the other methods for the event loop."""
 
     def __init__(
         self,
@@ -31,24 +31,24 @@ class MessageBatcher:
         post: Callable[[Callable[[], None]], None],
         eager: Callable[[], bool],
     ) -> None:
-        """Describe it.
+        """Create it.
 
         Args:
-            take: gets each message, in the order of arrival, on the loop.
-            post: calls back on the loop; for the vendor's thread.
-            eager: whether somebody waits for the next message; asked in the vendor's thread.
+            take: called on the event loop with each message, in the order of arrival.
+            post: schedules a callback on the event loop; called in MAVSDK's thread.
+            eager: whether a task waits for the next message; called in MAVSDK's thread.
         """
         self._take = take
         self._post = post
         self._eager = eager
-        self._waiting: deque[MavMessage] = deque(maxlen=WAITING_MOST)
+        self._waiting: deque[MavMessage] = deque(maxlen=MAX_WAITING)
         self._posted = False
         self._ingested_s = time.monotonic()
 
     def put(self, message: MavMessage) -> None:
-        """Take a message; in the vendor's thread."""
+        """Queue a message; called in MAVSDK's thread."""
         self._waiting.append(message)
-        # who waits says so before looking in here, and we look for one after filling it: one of both sees the other
+        # a waiting task registers before it reads the queue, and here the queue is filled before the check: no race
         if self._posted:
             return
         if self._eager() or message.heard_s - self._ingested_s >= GATHER_S:

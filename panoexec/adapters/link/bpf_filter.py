@@ -1,4 +1,4 @@
-"""Has the kernel drop datagrams that a waiting daemon has no use for, before they cost anything.
+"""Drops unneeded datagrams of an idle daemon in the kernel, with a socket filter.
 
 A gimbal that is its own component reports 50 times a second, asked or not. Each report that reaches MAVSDK is parsed
 and put into JSON there, whoever listens: 0.15 ms, together more than all else that a daemon does while it waits. Asking
@@ -35,15 +35,15 @@ _LDB, _LDH, _LEN, _ADD, _TAX, _JGE, _JEQ, _JEQ_X, _RET = 0x30, 0x28, 0x80, 0x04,
 
 
 def filter_program(message_id: int) -> bytes:
-    """A filter that drops datagrams which are one unsigned MAVLink 2 frame of this message, and nothing else.
+    """A filter that drops datagrams that consist of one unsigned MAVLink 2 frame of this message.
 
-    The filter of a UDP socket sees the UDP header first.
+    The filter of a UDP socket gets the UDP header first.
     """
     low, middle, high = message_id.to_bytes(3, "little")
     at = _UDP_HEADER
     keep = 14
     program = [
-        (_LEN, 0, 0, 0),  # a load beyond the end would drop
+        (_LEN, 0, 0, 0),  # a load beyond the end would drop the datagram
         (_JGE, 0, keep - 2, _FRAME + _UDP_HEADER),
         (_LDB, 0, 0, at),
         (_JEQ, 0, keep - 4, _MAGIC),
@@ -63,11 +63,11 @@ def filter_program(message_id: int) -> bytes:
 
 
 class DatagramFilter:
-    """Mutes one message on the socket of this process that listens on a URL's port; for other URLs it does nothing.
+    """Filters one message on this process's socket that listens on a URL's port; does nothing for other URLs.
 
     Args:
         url: where MAVSDK listens.
-        message_id: what to drop.
+        message_id: the message to drop.
     """
 
     def __init__(self, url: ConnectionUrl, message_id: int) -> None:
@@ -76,17 +76,17 @@ class DatagramFilter:
         self._found: tuple[int, int] | None = None
 
     def mute(self) -> None:
-        """Drop the message from now on."""
+        """Attach the filter."""
         code = ctypes.create_string_buffer(self._program)
         program = struct.pack("HP", len(self._program) // 8, ctypes.addressof(code))
         self._set(_SO_ATTACH_FILTER, program)
 
     def unmute(self) -> None:
-        """Let everything through again."""
+        """Detach the filter."""
         self._set(_SO_DETACH_FILTER, struct.pack("i", 0))
 
     def _set(self, option: int, value: bytes) -> None:
-        """Set the option on the socket, if there is one: it comes and goes with the connection, which is not ours."""
+        """Set the option on MAVSDK's socket, if there is one at present."""
         if self._port is None:
             return
         if self._found is None or not _is(self._found):
@@ -94,7 +94,7 @@ class DatagramFilter:
         if self._found is None:
             return
         descriptor, inode = self._found
-        with contextlib.suppress(OSError):  # closed meanwhile; or nothing to detach
+        with contextlib.suppress(OSError):  # closed meanwhile, or no filter to detach
             copy = os.dup(descriptor)
             try:
                 if os.fstat(copy).st_ino == inode:
@@ -119,7 +119,7 @@ def _is(found: tuple[int, int]) -> bool:
 
 
 def _listening_on(port: int) -> tuple[int, int] | None:
-    """Descriptor and inode of our UDP socket with that local port."""
+    """Descriptor and inode of this process's UDP socket with that local port."""
     for entry in Path("/proc/self/fd").iterdir():
         descriptor = int(entry.name)
         with contextlib.suppress(OSError):

@@ -1,4 +1,4 @@
-"""Opening MAVSDK connections, with reasons when it fails. Blocking: to be called in a worker thread."""
+"""Opens MAVSDK connections, with a reason if that fails. Blocking: call it in a worker thread."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def open_connection(mavsdk: Mavsdk, url: ConnectionUrl) -> Any:
     """Add a connection and return its handle.
 
     Raises:
-        LinkError: naming the port or device and what is the matter with it.
+        LinkError: the message names the port or device and the reason.
     """
     target = url
     if url.listens:
@@ -37,10 +37,10 @@ def close_connection(mavsdk: Mavsdk, handle: Any) -> None:
 
 
 def _listening(url: ConnectionUrl) -> ConnectionUrl:
-    """The URL with a resolved interface, whose port is free.
+    """The URL with a resolved interface, after a check that the port is free.
 
-    MAVSDK sets SO_REUSEADDR, with which Linux lets two programs bind one UDP port and gives the packets to the later
-    one: so a second daemon would silently rob the first. A plain bind tells.
+    MAVSDK sets SO_REUSEADDR, with which Linux lets two programs bind one UDP port and delivers the packets to the later
+    one: a second daemon would silently take over the first one's packets. A bind without the option fails instead.
     """
     udp = url.kind == "udpin"
     protocol = "UDP" if udp else "TCP"
@@ -51,12 +51,12 @@ def _listening(url: ConnectionUrl) -> ConnectionUrl:
                 probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((host, url.port))
     except socket.gaierror as error:
-        raise LinkError(f"cannot open {url}: host {url.host!r} is not known ({error.strerror})") from error
+        raise LinkError(f"cannot open {url}: host {url.host!r} cannot be resolved ({error.strerror})") from error
     except OSError as error:
         reason = {
-            errno.EADDRINUSE: f"{protocol} port {url.port} is in use by another program; stop it or take another port",
-            errno.EADDRNOTAVAIL: f"{url.host} is no interface of this machine; 0.0.0.0 listens on all of them",
-            errno.EACCES: f"{protocol} port {url.port} needs privileges; take one above 1023",
+            errno.EADDRINUSE: f"{protocol} port {url.port} is in use by another program; stop it or use another port",
+            errno.EADDRNOTAVAIL: f"{url.host} is not an address of this machine; 0.0.0.0 listens on all interfaces",
+            errno.EACCES: f"{protocol} port {url.port} needs privileges; use one above 1023",
         }.get(error.errno or 0, error.strerror or str(error))
         raise LinkError(f"cannot open {url}: {reason}") from error
     return ConnectionUrl(kind=url.kind, host=host, port=url.port)
@@ -64,7 +64,7 @@ def _listening(url: ConnectionUrl) -> ConnectionUrl:
 
 def _check_device(path: Path) -> None:
     if not path.exists():
-        raise LinkError(f"cannot open {path}: there is no such device; is it plugged in?")
+        raise LinkError(f"cannot open {path}: no such device; is it plugged in?")
     if not os.access(path, os.R_OK | os.W_OK):
         raise LinkError(f"cannot open {path}: no permission; add this user to the group {path.group()}")
 
@@ -75,7 +75,7 @@ def _reason(text: str) -> str:
         "BIND_ERROR": "the port is in use by another program",
         "SOCKET_CONNECTION_ERROR": "the connection was refused",
         "CONNECTION_ERROR": "the device does not answer as a serial port",
-        "DESTINATION_IP_UNKNOWN": "the host is not known",
+        "DESTINATION_IP_UNKNOWN": "the host cannot be resolved",
         "BAUDRATE_UNKNOWN": "the baud rate is not supported",
-        "CONNECTION_URL_INVALID": "MAVSDK does not understand it",
+        "CONNECTION_URL_INVALID": "MAVSDK does not accept this URL",
     }.get(name, name.lower().replace("_", " "))

@@ -1,4 +1,4 @@
-"""Connection strings: MAVSDK's form is ours, MAVProxy's forms are translated, all else is refused with reasons."""
+"""Connection strings in MAVSDK's form; MAVProxy's forms are converted, others are rejected with a reason."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from panoexec.errors import UsageError
 Kind: TypeAlias = Literal["udpin", "udpout", "tcpin", "tcpout", "serial"]
 
 DEFAULT_BAUD: Final = 115_200
-"""What MAVProxy takes when a device is given without a rate."""
+"""MAVProxy's default for a device without a rate."""
 
 ACCEPTED: Final = (
     "udpin://0.0.0.0:14540, udpout://HOST:PORT, tcpin://0.0.0.0:PORT, tcpout://HOST:PORT, "
@@ -24,11 +24,11 @@ _HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,252}[A-Za-z0-9])?")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConnectionUrl:
-    """One way to reach an autopilot.
+    """The address of an autopilot.
 
     Attributes:
-        kind: what is opened; `…in` listens, `…out` calls.
-        host: interface to listen on, or host to call; "" for serial.
+        kind: what is opened; `…in` listens, `…out` connects.
+        host: interface to listen on, or host to connect to; "" for serial.
         port: 1 to 65535; 0 for serial.
         path: the serial device; "" for the others.
         baud: bits a second; 0 for the others.
@@ -49,7 +49,7 @@ class ConnectionUrl:
 
     @property
     def mavsdk(self) -> str:
-        """As MAVSDK writes it."""
+        """The URL in MAVSDK's form."""
         if self.kind == "serial":
             scheme = "serial_flowcontrol" if self.flow_control else "serial"
             return f"{scheme}://{self.path}:{self.baud}"
@@ -60,14 +60,14 @@ class ConnectionUrl:
 
 
 def parse_connection(text: str) -> ConnectionUrl:
-    """Read a connection string.
+    """Parse a connection string.
 
     Args:
         text: MAVSDK's form (`udpin://0.0.0.0:14540`), its older `udp://` and `tcp://`, or MAVProxy's
-            (`udp:127.0.0.1:14550` listens, `udpout:`, `tcp:` calls, `tcpin:`, `/dev/ttyACM0,57600`).
+            (`udp:127.0.0.1:14550` listens, `udpout:`, `tcp:` connects, `tcpin:`, `/dev/ttyACM0,57600`).
 
     Raises:
-        UsageError: naming the string, what is wrong, and what would be accepted.
+        UsageError: the message names the string, the error and the accepted forms.
     """
     stripped = text.strip()
     try:
@@ -79,7 +79,7 @@ def parse_connection(text: str) -> ConnectionUrl:
         scheme, separator, rest = stripped.partition(":")
         return _mavproxy_form(scheme.lower(), rest if separator else "")
     except ValueError as error:
-        raise UsageError(f"connection {text!r}: {error}; accepted are {ACCEPTED}") from error
+        raise UsageError(f"connection {text!r}: {error}; accepted forms: {ACCEPTED}") from error
 
 
 def _mavsdk_form(scheme: str, rest: str) -> ConnectionUrl:
@@ -91,8 +91,8 @@ def _mavsdk_form(scheme: str, rest: str) -> ConnectionUrl:
     if scheme not in (*_NETWORK, "udp", "tcp"):
         raise ValueError(f"unknown protocol {scheme!r}")
     host, port = _host_and_port(rest)
-    if scheme in ("udp", "tcp"):  # MAVSDK's older spelling: no host, or all interfaces, means to listen
-        kind: Kind = ("udpin" if scheme == "udp" else "tcpin") if host in ("", "0.0.0.0") else _called(scheme)  # noqa: S104
+    if scheme in ("udp", "tcp"):  # MAVSDK's older form: without a host, or with 0.0.0.0, it listens
+        kind: Kind = ("udpin" if scheme == "udp" else "tcpin") if host in ("", "0.0.0.0") else _outgoing(scheme)  # noqa: S104
         return _network(kind, host or "0.0.0.0", port)  # noqa: S104
     return _network(_NETWORK[scheme], host, port)
 
@@ -110,7 +110,7 @@ def _mavproxy_device(text: str) -> ConnectionUrl:
     return _serial(path, baud) if separator else _serial(text, str(DEFAULT_BAUD))
 
 
-def _called(scheme: str) -> Kind:
+def _outgoing(scheme: str) -> Kind:
     return "udpout" if scheme == "udp" else "tcpout"
 
 
@@ -120,7 +120,7 @@ def _network(kind: Kind, host: str, port: int) -> ConnectionUrl:
     if not _HOST.fullmatch(host):
         raise ValueError(f"{host!r} is not a host")
     if host == "0.0.0.0" and kind in ("udpout", "tcpout"):  # noqa: S104
-        raise ValueError("0.0.0.0 can be listened on but not called")
+        raise ValueError("0.0.0.0 is an address to listen on, not to connect to")
     return ConnectionUrl(kind=kind, host=host, port=port)
 
 

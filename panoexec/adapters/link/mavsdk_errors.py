@@ -1,4 +1,4 @@
-"""What all adapters to MAVSDK share: its log, and its errors turned into ours."""
+"""MAVSDK's log and errors, converted to panoexec's."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ MAV_RESULTS: Final[dict[int, str]] = {
     5: "in progress",
     6: "cancelled",
 }
-"""MAV_RESULT, in words."""
+"""Texts for MAV_RESULT."""
 
-_WORDS: Final[dict[str, str]] = {
+_TEXTS: Final[dict[str, str]] = {
     "TIMEOUT": "not answered",
     "NO_SYSTEM": "there is no autopilot",
     "CONNECTION_ERROR": "could not be sent",
@@ -36,49 +36,49 @@ _WORDS: Final[dict[str, str]] = {
     "INVALID_ARGUMENT": "there is no such device",
     "CAMERA_ID_INVALID": "there is no such device",
 }
-_LINK_TROUBLE: Final = frozenset({"TIMEOUT", "NO_SYSTEM", "CONNECTION_ERROR"})
+_LINK_RESULTS: Final = frozenset({"TIMEOUT", "NO_SYSTEM", "CONNECTION_ERROR"})
 
 
 class _LogBridge:
-    """MAVSDK prints its log to stdout, which belongs to the answer of a command; so it goes to our log instead."""
+    """Forwards MAVSDK's log to panoexec's: it would go to stdout, which is reserved for command output."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._said: dict[str, float] = {}
+        self._logged: dict[str, float] = {}
 
     def __call__(self, level: LogLevel, message: str, file: str | None, line: int) -> bool:
         now = time.monotonic()
         with self._lock:
-            repeated = now - self._said.get(message, -_REPEAT_S) < _REPEAT_S
+            repeated = now - self._logged.get(message, -_REPEAT_S) < _REPEAT_S
             if not repeated:
-                if len(self._said) > 200:
-                    self._said.clear()
-                self._said[message] = now
+                if len(self._logged) > 200:
+                    self._logged.clear()
+                self._logged[message] = now
         if not repeated:
-            say = _log.info if level >= LogLevel.WARN else _log.debug
-            say(message, level_name=level.name, source=f"{file}:{line}")
+            log = _log.info if level >= LogLevel.WARN else _log.debug
+            log(message, level_name=level.name, source=f"{file}:{line}")
         return True
 
 
-_bridge = _LogBridge()
+_log_bridge = _LogBridge()
 
 
 def quiet_mavsdk_log() -> None:
-    """Send MAVSDK's log to ours; to be called before anything of it is created."""
-    mavsdk.log_subscribe(_bridge)
+    """Forward MAVSDK's log to panoexec's; call this before any MAVSDK object is created."""
+    mavsdk.log_subscribe(_log_bridge)
 
 
 def device_error(what: str, error: MavsdkError, *, connected: bool) -> DeviceError:
-    """Our error for a failed request.
+    """Convert MAVSDK's error for a failed request.
 
     Args:
-        what: the request, in words: "pointing the gimbal".
+        what: the request, for messages: "pointing the gimbal".
         error: MAVSDK's; a plugin's error carries its result.
         connected: whether heartbeats arrive.
     """
     result = getattr(error, "result", None)
     name = result.name if result is not None else str(error)
-    words = _WORDS.get(name, name.lower().replace("_", " "))
-    if not connected and name in _LINK_TROUBLE:
-        return LinkError(f"{what}: no link to the autopilot ({words})")
-    return DeviceError(f"{what}: {words}")
+    text = _TEXTS.get(name, name.lower().replace("_", " "))
+    if not connected and name in _LINK_RESULTS:
+        return LinkError(f"{what}: no link to the autopilot ({text})")
+    return DeviceError(f"{what}: {text}")

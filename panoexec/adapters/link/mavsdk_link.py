@@ -1,7 +1,7 @@
-"""The connection to an autopilot: opened, found, kept alive, and asked again for its streams when it forgot them.
+"""The connection to an autopilot: opens it, finds the autopilot, reconnects, and requests streams again after a reboot.
 
-`MavsdkLink` heals by itself: an autopilot may be absent when it is opened, reboot, or vanish; a serial device may be
-unplugged. The devices built on it (`MavsdkGimbal`, `MavsdkCamera`, `MavsdkVehicle`) stay valid all along.
+`MavsdkLink` recovers by itself: an autopilot may be absent at first, reboot, or disappear; a serial device may be
+unplugged. The devices built on it (`MavsdkGimbal`, `MavsdkCamera`, `MavsdkVehicle`) stay valid throughout.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ DEFAULT_COMPONENT: Final = 191
 FAST_STREAMS: Final = ("GIMBAL_DEVICE_ATTITUDE_STATUS", "ATTITUDE")
 _GIMBAL_REPORTS: Final = ("GIMBAL_DEVICE_ATTITUDE_STATUS", 285)
 _TICK_S: Final = 0.25
-_SPARING_TICK_S: Final = 1.0
-_LOOK_S: Final = 0.05
+_IDLE_TICK_S: Final = 1.0
+_DISCOVER_TICK_S: Final = 0.05
 _SILENT_REOPEN_S: Final = 5.0
 
 _log = structlog.get_logger(__name__)
@@ -47,11 +47,11 @@ class MavsdkLink:
     """An async context manager around one MAVSDK connection.
 
     Attributes:
-        url: how the autopilot is reached.
+        url: the address of the autopilot.
         clock: of the mission; stamps messages.
-        requests: what can be asked of the vehicle.
-        streams: what is asked for and how it flows.
-        components: components of the vehicle that beat: id to (MAV_TYPE, real time of the last heartbeat).
+        requests: requests to the vehicle.
+        streams: the requested message streams.
+        components: components of the vehicle with heartbeats: id to (MAV_TYPE, real time of the last heartbeat).
     """
 
     def __init__(
@@ -66,20 +66,20 @@ class MavsdkLink:
         patient: bool = False,
         throttling: bool = False,
     ) -> None:
-        """Describe the link; entering the context opens it.
+        """Create the link; entering the context opens it.
 
         Args:
-            url: how to reach the autopilot; see `parse_connection`.
+            url: the address of the autopilot; see `parse_connection`.
             clock: of the mission.
-            component_id: our MAVLink component, unique on the vehicle.
-            system_id: our MAVLink system; None takes the vehicle's, once it is known.
-            vehicle_system_id: which vehicle, where one connection carries several; None takes the first.
-            streams: messages to ask for.
-            patient: a serial device or a host that is absent when the link is opened is waited for, not an error.
-            throttling: look at fast streams only once a second (of real time) from `use_rates(active=False)` on.
+            component_id: own MAVLink component id, unique on the vehicle.
+            system_id: own MAVLink system id; None: that of the vehicle, once it is known.
+            vehicle_system_id: the vehicle's system id, if a connection carries several; None: the first one found.
+            streams: messages to request.
+            patient: wait for a serial device or a host that is absent when the link is opened, instead of raising.
+            throttling: after `use_rates(active=False)`, receive fast streams only once a second of real time.
 
         Raises:
-            UsageError: the URL is wrong.
+            UsageError: the URL is invalid.
         """
         self.url = parse_connection(url) if isinstance(url, str) else url
         self.clock = clock
@@ -91,7 +91,7 @@ class MavsdkLink:
         self._throttling = throttling
         self._calls = WorkerCalls("mavsdk")
         self._session = MavsdkSession(self.url, self._calls)
-        self._muted = DatagramFilter(self.url, _GIMBAL_REPORTS[1])
+        self._datagram_filter = DatagramFilter(self.url, _GIMBAL_REPORTS[1])
         self._hub = MessageHub(clock, self.post, mute=self._mute)
         self.requests = MavsdkRequests(
             self._session,
@@ -113,11 +113,11 @@ class MavsdkLink:
         self._on_return: list[Callable[[], None]] = []
         self._found = asyncio.Event()
         self._alive = asyncio.Event()
-        self._nudge = asyncio.Event()
+        self._wake = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stack = contextlib.AsyncExitStack()
         self._heartbeat_s = -math.inf
-        self._twin_beats = 0
+        self._conflict_heartbeats = 0
         self._hub.on("HEARTBEAT", self._heartbeat)
 
     # --- state
@@ -134,12 +134,12 @@ class MavsdkLink:
 
     @property
     def boot_count(self) -> int:
-        """How many reboots of the autopilot were noticed."""
+        """Number of detected reboots of the autopilot."""
         return self.streams.boots.reboots
 
     @property
     def vehicle_system_id(self) -> int | None:
-        """MAVLink system of the vehicle, None until it was found."""
+        """MAVLink system id of the vehicle, None until it was found."""
         return self._vehicle_system if self._found.is_set() else None
 
     @property
@@ -150,15 +150,15 @@ class MavsdkLink:
 
     @property
     def own_ids(self) -> tuple[int, int]:
-        """Our MAVLink system and component."""
+        """Own MAVLink system and component ids."""
         return self._own_system or 1, self._component
 
     @property
-    def has_twin(self) -> bool:
-        """Whether somebody else on the vehicle beats with our ids: two daemons, or a wrong component_id."""
-        return self._twin_beats >= 2
+    def has_id_conflict(self) -> bool:
+        """Whether another sender on the vehicle uses the same ids: two daemons, or a wrong component_id."""
+        return self._conflict_heartbeats >= 2
 
-    # --- life
+    # --- life cycle
 
     async def __aenter__(self) -> Self:
         """Open the connection; does not wait for the autopilot.
@@ -188,58 +188,58 @@ class MavsdkLink:
             ours = [failure for failure in failures.exceptions if failure is not exc]
             if ours:
                 raise ours[0] from exc
-            return None  # what the block raised passes as it is, not wrapped in a group
+            return None  # the block's own exception propagates unwrapped
 
     async def wait_autopilot(self, timeout_s: float) -> None:
-        """Return when the autopilot was found and beats.
+        """Return when the autopilot was found and its heartbeats arrive.
 
         Args:
-            timeout_s: real seconds to wait at most.
+            timeout_s: real seconds.
 
         Raises:
-            LinkError: it was not; says what to look at.
+            LinkError: it was not found in time; the message says what to check.
         """
         try:
             async with asyncio.timeout(timeout_s):
                 await self._alive.wait()
         except TimeoutError as error:
             hint = {
-                "serial": "is it powered, the cable in the right port, the baud rate that of SERIALx_BAUD?",
+                "serial": "is it powered, is the cable in the right port, does the baud rate match SERIALx_BAUD?",
                 "udpin": "is it on, and does it (or the router) send to this port?",
-            }.get(self.url.kind, "is it on, and does it listen there?")
+            }.get(self.url.kind, "is it on, and does it listen on this port?")
             raise LinkError(f"no autopilot on {self.url} within {timeout_s:g} s: {hint}") from error
 
     # --- for the devices
 
     def on(self, name: str, handler: Handler) -> Callable[[], None]:
-        """Call `handler`, in the vendor's thread, with each message of that name; returns what ends it."""
+        """Call `handler` in MAVSDK's thread with each message of that name; returns a function that unsubscribes it."""
         return self._hub.on(name, handler)
 
     def when_attached(self, callback: Callable[[], None]) -> Callable[[], None]:
-        """Call back, on the loop, when plugins can be made: at once if they can be now; returns what ends it."""
+        """Call `callback` on the loop once plugins can be created, possibly now; returns a function that removes it."""
         if self._session.system is not None:
             callback()
-        return _listed(self._on_attached, callback)
+        return _registered(self._on_attached, callback)
 
     def when_back(self, callback: Callable[[], None]) -> Callable[[], None]:
-        """Call back, on the loop, whenever the autopilot rebooted or came back; returns what ends it."""
-        return _listed(self._on_return, callback)
+        """Call `callback` on the loop when the autopilot rebooted or reconnected; returns a removal function."""
+        return _registered(self._on_return, callback)
 
     def post(self, callback: Callable[..., None], *args: object) -> None:
-        """Call back on the loop; for the vendor's thread. Nothing happens once the loop is closed."""
+        """Schedule `callback` on the loop; for MAVSDK's thread. Does nothing after the loop was closed."""
         if self._loop is not None:
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(callback, *args)
 
     async def use_rates(self, *, active: bool) -> None:
-        """Ask for the rates of a flying mission, or for those of waiting. What fails is tried again by itself."""
+        """Request the rates of a running mission, or the idle rates. Failed requests are repeated automatically."""
         self.streams.active = active
-        self._nudge.set()
+        self._wake.set()
         self._hub.throttle(FAST_STREAMS if self._throttling and not active else ())
         if self.connected:
             await self.streams.ask()
 
-    # --- in the vendor's thread
+    # --- in MAVSDK's thread
 
     def _heartbeat(self, message: MavMessage) -> None:
         now = time.monotonic()
@@ -250,25 +250,25 @@ class MavsdkLink:
             if was_away:
                 self.post(self._came_back)
         elif (self._vehicle_system, message.component_id) == self.own_ids:
-            self._twin_beats += 1
+            self._conflict_heartbeats += 1
 
     # --- on the loop
 
     def _came_back(self) -> None:
-        _log.info("the autopilot rebooted or came back", reboots=self.boot_count)
+        _log.info("autopilot rebooted or reconnected", reboots=self.boot_count)
         self._alive.set()
         self._session.heard()
         self.streams.forget()
-        self._nudge.set()
+        self._wake.set()
         for callback in tuple(self._on_return):
             callback()
 
     async def _keep(self) -> None:
-        """Find the autopilot, then look after its streams and the connection, for ever."""
+        """Find the autopilot, then maintain its streams and the connection until cancelled."""
         await self._discover()
-        twin_told = False
+        conflict_logged = False
         while True:
-            self._nudge.clear()
+            self._wake.clear()
             self.streams.measure()
             self._hub.listen_again()
             if self.connected:
@@ -277,14 +277,14 @@ class MavsdkLink:
                 self._alive.clear()
                 if self.url.kind in ("serial", "tcpout") and self.heartbeat_age_s > _SILENT_REOPEN_S:
                     await self._session.reopen()
-            if self.has_twin and not twin_told:
-                twin_told = True
-                _log.error("another component of the vehicle uses our MAVLink ids", ids=self.own_ids)
+            if self.has_id_conflict and not conflict_logged:
+                conflict_logged = True
+                _log.error("another component uses the same MAVLink ids", ids=self.own_ids)
             with contextlib.suppress(TimeoutError):
-                # each look at streams and connection is a wakeup: a daemon that waits has time
+                # each check is a wakeup: an idle daemon checks less often
                 waits = self._throttling and not self.streams.active and self.connected
-                async with asyncio.timeout(_SPARING_TICK_S if waits else _TICK_S):
-                    await self._nudge.wait()
+                async with asyncio.timeout(_IDLE_TICK_S if waits else _TICK_S):
+                    await self._wake.wait()
 
     async def _discover(self) -> None:
         since = time.monotonic()
@@ -292,12 +292,12 @@ class MavsdkLink:
             silent = time.monotonic() - since > _SILENT_REOPEN_S
             if not self._session.is_open or (silent and self.url.kind == "serial"):
                 await self._session.reopen()
-            await asyncio.sleep(_TICK_S if silent else _LOOK_S)
+            await asyncio.sleep(_TICK_S if silent else _DISCOVER_TICK_S)
         vehicle = system.get_system_id()
         self._vehicle_system = self.requests.system_id = vehicle
         if self._own_system is None:
             self._own_system = vehicle
-            if vehicle != 1:  # components of one vehicle share its system id, which is only known now
+            if vehicle != 1:  # components of a vehicle share its system id, which is known only now
                 del system
                 await self._close()
                 await self._open()
@@ -306,7 +306,7 @@ class MavsdkLink:
         self._heartbeat_s = time.monotonic()
         self._session.system = system
         self._hub.attach(self.requests.plugin(MavlinkDirect))
-        # nothing is throttled before somebody says that nothing flies: what looks for devices needs to hear them all
+        # nothing is throttled before `use_rates`: discovery of the devices needs all messages
         await self.streams.ask()
         for callback in tuple(self._on_attached):
             callback()
@@ -317,9 +317,9 @@ class MavsdkLink:
     def _mute(self, name: str, muted: bool) -> None:
         if name == _GIMBAL_REPORTS[0]:
             if muted:
-                self._muted.mute()
+                self._datagram_filter.mute()
             else:
-                self._muted.unmute()
+                self._datagram_filter.unmute()
 
     async def _open(self) -> None:
         try:
@@ -327,14 +327,14 @@ class MavsdkLink:
         except LinkError as error:
             if not self._patient or self.url.listens:
                 raise
-            _log.warning("waiting for the way to the autopilot", error=str(error))
+            _log.warning("connection failed, retrying", error=str(error))
 
     async def _close(self) -> None:
         self._hub.detach()
         await self._session.close()
 
 
-def _listed(callbacks: list[Callable[[], None]], callback: Callable[[], None]) -> Callable[[], None]:
+def _registered(callbacks: list[Callable[[], None]], callback: Callable[[], None]) -> Callable[[], None]:
     callbacks.append(callback)
 
     def off() -> None:

@@ -1,6 +1,6 @@
-"""What is asked of an autopilot and the devices beside it: commands, messages, parameters, calls of MAVSDK's plugins.
+"""Requests to an autopilot and other components: commands, messages, parameters, calls of MAVSDK's plugins.
 
-Nothing here waits for a connection: a request without one ends in an error, and whoever made it asks again.
+Nothing here waits for a connection: without one a request fails, and the caller repeats it.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ _log = structlog.get_logger(__name__)
 
 
 class MavsdkRequests:
-    """The requests of one `MavsdkLink`; valid as long as that is, whatever becomes of the connection.
+    """The requests of one `MavsdkLink`; valid across reconnections.
 
     Attributes:
-        system_id: MAVLink system of the vehicle that is asked; the link sets it when it has found another.
+        system_id: MAVLink system id of the vehicle; the link sets it when it has found the vehicle.
     """
 
     def __init__(
@@ -53,16 +53,16 @@ class MavsdkRequests:
         connected: Callable[[], bool],
         post: Callable[..., None],
     ) -> None:
-        """Describe them; nothing is sent.
+        """Create it; nothing is sent.
 
         Args:
-            session: makes plugins for the vehicle, once it was found.
-            calls: runs what blocks.
-            hub: where answers arrive.
-            clock: of the mission; told when it has to wait for an answer.
+            session: creates plugins for the vehicle, once it was found.
+            calls: runs blocking calls.
+            hub: source of the answers.
+            clock: of the mission; a vehicle clock waits while a call runs.
             system_id: see the attribute.
             connected: whether heartbeats of the autopilot arrive.
-            post: calls back on the event loop, from the vendor's thread.
+            post: schedules a callback on the event loop from MAVSDK's thread.
         """
         self.system_id = system_id
         self._session = session
@@ -73,19 +73,19 @@ class MavsdkRequests:
         self._post = post
 
     def plugin(self, kind: Callable[[System], P]) -> P:
-        """The one instance of a MAVSDK plugin.
+        """The MAVSDK plugin of that kind, created at the first call.
 
         Raises:
             LinkError: the autopilot has not been found yet.
         """
         return self._session.plugin(kind)
 
-    async def vendor_call(self, what: str, call: Callable[[], T]) -> T:
+    async def mavsdk_call(self, what: str, call: Callable[[], T]) -> T:
         """Run a blocking call of MAVSDK in a thread.
 
         Args:
-            what: in words, for messages: "pointing the gimbal".
-            call: is not interrupted when this is cancelled.
+            what: the request, for messages: "pointing the gimbal".
+            call: the blocking call; a cancellation does not interrupt it.
 
         Raises:
             DeviceError: refused or not answered.
@@ -109,7 +109,7 @@ class MavsdkRequests:
 
         Raises:
             DeviceError: not answered, or not sent.
-            LinkError: as `vendor_call`.
+            LinkError: as `mavsdk_call`.
         """
         system = self.system_id
         fields: dict[str, float] = {"target_system": system, "target_component": component, "command": command}
@@ -118,7 +118,7 @@ class MavsdkRequests:
             fields[f"param{number}"] = params[number - 1] if number <= len(params) else 0.0
         message = MavlinkMessage("COMMAND_LONG", 0, 0, system, component, json.dumps(fields, allow_nan=False))
         direct = self.plugin(MavlinkDirect)
-        ack = await self.vendor_call(f"command {command}", lambda: direct.send_command(message))
+        ack = await self.mavsdk_call(f"command {command}", lambda: direct.send_command(message))
         return int(json.loads(ack.fields_json)["result"])
 
     async def message(
@@ -131,19 +131,19 @@ class MavsdkRequests:
         index: int = 0,
         fits: Callable[[MavMessage], bool] = lambda _: True,
     ) -> MavMessage:
-        """Ask once for a message (MAV_CMD_REQUEST_MESSAGE, 512) and return it.
+        """Request a message once (MAV_CMD_REQUEST_MESSAGE, 512) and return it.
 
         Args:
-            message_id: MAVLink's number of it.
-            name: MAVLink's name of it.
-            component: of whom.
-            timeout_s: real seconds that it may take after the answer to the request.
-            index: param2 of the request: which one, where there are several.
-            fits: whether a message of that name is the one asked for.
+            message_id: MAVLink message id.
+            name: MAVLink message name.
+            component: the target component.
+            timeout_s: real seconds between the acknowledgement and the message.
+            index: param2 of the request: the index, if there are several.
+            fits: whether a received message of that name is the requested one.
 
         Raises:
-            DeviceError: refused, or it did not come within `timeout_s` real seconds after the answer.
-            LinkError: as `vendor_call`.
+            DeviceError: refused, or the message did not arrive within `timeout_s`.
+            LinkError: as `mavsdk_call`.
         """
         arrived: asyncio.Future[MavMessage] = asyncio.get_running_loop().create_future()
 
@@ -155,16 +155,16 @@ class MavsdkRequests:
         try:
             result = await self.command(REQUEST_MESSAGE, [message_id, index], component=component)
             if result != 0:
-                raise DeviceError(f"asking for {name} ({message_id}): {MAV_RESULTS.get(result, result)}")
+                raise DeviceError(f"requesting {name} ({message_id}): {MAV_RESULTS.get(result, result)}")
             async with asyncio.timeout(timeout_s):
                 return await arrived
         except TimeoutError as error:
-            raise DeviceError(f"asking for {name} ({message_id}): accepted, but it did not come") from error
+            raise DeviceError(f"requesting {name} ({message_id}): accepted, but the message did not arrive") from error
         finally:
             off()
 
     async def parameter(self, name: str) -> float | None:
-        """A parameter of the autopilot; None if it has none of that name, or does not answer.
+        """A parameter of the autopilot; None if it does not exist or the autopilot does not answer.
 
         Raises:
             LinkError: the autopilot has not been found yet.
@@ -181,37 +181,37 @@ class MavsdkRequests:
 
         for left in reversed(range(_PARAMETER_TRIES)):
             try:
-                return await self.vendor_call(f"reading {name}", read)
+                return await self.mavsdk_call(f"reading {name}", read)
             except DeviceError as error:
-                # an autopilot that has just been found may not answer the first time; what a mount's reports are worth
-                # hangs on the answer
-                _log.debug("a parameter was not told", name=name, error=str(error))
+                # an autopilot that was just found may not answer at first; the kind of a mount's feedback depends on
+                # the answer
+                _log.debug("parameter could not be read", name=name, error=str(error))
                 if left:
                     await asyncio.sleep(_PARAMETER_PAUSE_S)
         return None
 
     async def send(self, what: str, name: str, fields: Mapping[str, object]) -> None:
-        """Send a message that nobody acknowledges.
+        """Send a message without acknowledgement.
 
         Args:
-            what: in words, for messages.
-            name: MAVLink's name of it.
-            fields: by MAVLink's names.
+            what: the request, for error messages.
+            name: MAVLink message name.
+            fields: by MAVLink's field names.
 
         Raises:
             DeviceError: not sent.
-            LinkError: as `vendor_call`.
+            LinkError: as `mavsdk_call`.
         """
         message = MavlinkMessage(name, fields_json=json.dumps(fields, allow_nan=False))
         direct = self.plugin(MavlinkDirect)
-        await self.vendor_call(what, lambda: direct.send_message(message))
+        await self.mavsdk_call(what, lambda: direct.send_message(message))
 
     async def say(self, text: str, severity: Severity = Severity.NOTICE) -> None:
-        """Tell the pilot's ground station (STATUSTEXT, 253), in lines of 50 characters; never raises."""
+        """Send text to the ground stations (STATUSTEXT, 253), in lines of 50 characters; never raises."""
         for line in textwrap.wrap(text.encode("ascii", "replace").decode(), 50):
             fields = {"severity": int(severity), "text": line, "id": 0, "chunk_seq": 0}
             try:
-                await self.send("telling the pilot", "STATUSTEXT", fields)
+                await self.send("sending a message to the pilot", "STATUSTEXT", fields)
             except DeviceError as error:
-                _log.info("the pilot was not told", text=text, error=str(error))
+                _log.info("message to the pilot could not be sent", text=text, error=str(error))
                 return

@@ -1,4 +1,4 @@
-"""One `Mavsdk` instance with its connection, its vehicle and the plugins made for it; opened, reopened, destroyed."""
+"""One `Mavsdk` instance with its connection, vehicle and plugins: open, reopen, destroy."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ P = TypeVar("P")
 _DRAIN_S: Final = 3.0
 _DESTROY_S: Final = 3.0
 _REOPEN_S: Final = 1.0
-_REOPEN_MOST_S: Final = 10.0
+_MAX_REOPEN_S: Final = 10.0
 
 _log = structlog.get_logger(__name__)
 
 
 class MavsdkSession:
-    """Owns what must be released in order. All methods are for the event loop; what blocks runs in worker threads."""
+    """Owns resources that must be released in order. For the event loop; blocking calls run in worker threads."""
 
     def __init__(self, url: ConnectionUrl, calls: WorkerCalls) -> None:
         self.system: System | None = None
@@ -36,11 +36,11 @@ class MavsdkSession:
         self._url = url
         self._calls = calls
         self._mavsdk: Mavsdk | None = None
-        self._made: list[Mavsdk] = []
+        self._instances: list[Mavsdk] = []
         self._connection: Any = None
         self._plugins: dict[Any, Any] = {}
         self._next_open_s = 0.0
-        self._patience_s = _REOPEN_S
+        self._delay_s = _REOPEN_S
 
     @property
     def is_open(self) -> bool:
@@ -48,10 +48,10 @@ class MavsdkSession:
         return self._connection is not None
 
     async def open(self, system_id: int, component_id: int) -> None:
-        """Create MAVSDK with our ids and open the connection.
+        """Create MAVSDK with these ids and open the connection.
 
         Raises:
-            LinkError: the connection cannot be opened; `reopen` may try again.
+            LinkError: the connection cannot be opened; `reopen` can try again.
         """
 
         def create() -> Mavsdk:
@@ -60,32 +60,32 @@ class MavsdkSession:
                 mavsdk = Mavsdk(configuration)
             finally:
                 configuration.destroy()
-            self._made.append(mavsdk)  # whoever waits for it may be cancelled meanwhile, and it must be destroyed
+            self._instances.append(mavsdk)  # it must be destroyed even if the waiting task is cancelled
             return mavsdk
 
         self._mavsdk = mavsdk = await self._calls.run(create)
         self._connection = await self._calls.run(lambda: open_connection(mavsdk, self._url))
 
     async def reopen(self) -> None:
-        """Open the connection anew if patience is over; may be called as often as one likes."""
+        """Reopen the connection if the retry interval is over; may be called at any rate."""
         mavsdk, now = self._mavsdk, time.monotonic()
         if mavsdk is None or now < self._next_open_s:
             return
-        self._next_open_s = now + self._patience_s
-        self._patience_s = min(2 * self._patience_s, _REOPEN_MOST_S)
+        self._next_open_s = now + self._delay_s
+        self._delay_s = min(2 * self._delay_s, _MAX_REOPEN_S)
         old, self._connection = self._connection, None
         if old is not None:
             await self._calls.run(lambda: close_connection(mavsdk, old))
         try:
             self._connection = await self._calls.run(lambda: open_connection(mavsdk, self._url))
         except LinkError as error:
-            _log.debug("still no connection", error=str(error))
+            _log.debug("connection failed, retrying", error=str(error))
         else:
-            _log.info("connection opened again", url=str(self._url))
+            _log.info("connection reopened", url=str(self._url))
 
     def heard(self) -> None:
-        """The vehicle is there: the next silence is met with fresh patience."""
-        self._patience_s = _REOPEN_S
+        """The vehicle was heard: reset the retry interval."""
+        self._delay_s = _REOPEN_S
         self._next_open_s = 0.0
 
     async def find_vehicle(self, wanted: int | None) -> System | None:
@@ -100,7 +100,7 @@ class MavsdkSession:
         return None
 
     def plugin(self, kind: Callable[[System], P]) -> P:
-        """The one instance of a plugin.
+        """The plugin of that kind, created at the first call.
 
         Raises:
             LinkError: there is no vehicle yet.
@@ -113,16 +113,16 @@ class MavsdkSession:
         return plugin
 
     async def close(self) -> None:
-        """Let calls end, then destroy MAVSDK; 6 s at the very most, milliseconds when no call is under way.
+        """Wait for running calls, then destroy MAVSDK; takes at most 6 s, and milliseconds if no call is running.
 
-        A call that still runs then (only one that the autopilot reports progress of for ever) blocks its daemon thread
-        for good.
+        A call that is still running then (one for which the autopilot keeps reporting progress) blocks its daemon
+        thread for ever.
         """
         self._mavsdk = self.system = self._connection = None
         self._plugins.clear()
         if not await self._calls.drain(_DRAIN_S):
-            _log.warning("a call to the autopilot does not end")
-        made, self._made = self._made, []
+            _log.warning("MAVSDK call timed out")
+        made, self._instances = self._instances, []
         if not made:
             return
         loop, gone = asyncio.get_running_loop(), asyncio.Event()
@@ -130,7 +130,7 @@ class MavsdkSession:
         def destroy() -> None:
             for mavsdk in made:
                 mavsdk.destroy()
-            with contextlib.suppress(RuntimeError):  # the loop was closed: nobody waits any more
+            with contextlib.suppress(RuntimeError):  # the loop was closed: no task waits any more
                 loop.call_soon_threadsafe(gone.set)
 
         threading.Thread(target=destroy, name="mavsdk destroy", daemon=True).start()

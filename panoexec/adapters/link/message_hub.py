@@ -1,7 +1,7 @@
-"""MAVLink messages by name, from MAVSDK's callback thread to whoever asked for them.
+"""Dispatches MAVLink messages by name from MAVSDK's callback thread to handlers.
 
-Handlers run in the vendor's thread and must be quick: MAVSDK queues at most 100 callbacks and drops what comes then.
-That, and that `mavsdk.asyncio` wakes the event loop once for each message, is why its generators are not used here.
+Handlers run in MAVSDK's thread and must be quick: MAVSDK queues at most 100 callbacks and drops further ones. For this
+reason, and because they wake the event loop for each message, the generators of `mavsdk.asyncio` are not used.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ class MavMessage:
     """One message.
 
     Attributes:
-        name: MAVLink's name of it.
-        component_id: the sender's.
+        name: MAVLink message name.
+        component_id: the sender's component.
         received_s: when it arrived, on the mission's clock.
-        heard_s: the same moment, by the real clock.
+        heard_s: when it arrived, on the real monotonic clock.
     """
 
     __slots__ = ("_fields", "component_id", "heard_s", "name", "received_s")
 
     def __init__(self, name: str, component_id: int, fields: dict[str, Any] | str, received_s: float) -> None:
-        """Take it as it came.
+        """Create it from a received message.
 
         Args:
-            name: MAVLink's.
-            component_id: the sender's.
-            fields: by MAVLink's names, or the JSON text of that.
+            name: MAVLink message name.
+            component_id: the sender's component.
+            fields: by MAVLink's field names, or their JSON text.
             received_s: when it arrived, on the mission's clock.
         """
         self.name = name
@@ -49,35 +49,39 @@ class MavMessage:
 
     @property
     def fields(self) -> dict[str, Any]:
-        """By MAVLink's names; NaN is None, as JSON has no NaN. Parsed when first asked for: many never are.
+        """The fields by MAVLink's names; NaN is None, as JSON has no NaN. Parsed at the first access.
 
         Raises:
-            ValueError: it is not JSON.
+            ValueError: invalid JSON.
         """
         if isinstance(self._fields, str):
             self._fields = json.loads(self._fields)
         return self._fields  # type: ignore[return-value]
 
     def unusable(self, error: Exception) -> None:
-        """Tell that it does not say what it should."""
-        _log.warning("unusable message", name=self.name, error=repr(error), fields=self._fields)
+        """Log that the message has invalid fields."""
+        _log.warning("invalid message", name=self.name, error=repr(error), fields=self._fields)
 
 
 Handler: TypeAlias = Callable[[MavMessage], None]
 
 
 class MessageHub:
-    """Fans messages out to handlers; outlives the connection, to which it is attached when there is one."""
+    """Dispatches messages to handlers; outlives connections and is attached to the current one."""
 
     def __init__(
-        self, clock: Clock, post: Callable[..., None], *, mute: Callable[[str, bool], None] = lambda _name, _muted: None
+        self,
+        clock: Clock,
+        post: Callable[..., None],
+        *,
+        mute: Callable[[str, bool], None] = lambda _name, _datagram_filter: None,
     ) -> None:
-        """Describe it.
+        """Create it.
 
         Args:
             clock: of the mission.
-            post: calls a function on the event loop from another thread.
-            mute: told, on the loop, that nobody needs the next messages of a name, or that somebody does again.
+            post: schedules a callback on the event loop from another thread.
+            mute: called on the loop with a message name and whether its messages are currently not needed.
         """
         self._clock = clock
         self._post = post
@@ -85,13 +89,13 @@ class MessageHub:
         self._handlers: dict[str, tuple[Handler, ...]] = {}
         self._direct: MavlinkDirect | None = None
         self._subscriptions: dict[str, Any] = {}
-        self._spared: frozenset[str] = frozenset()
+        self._throttled: frozenset[str] = frozenset()
 
     def on(self, name: str, handler: Handler) -> Callable[[], None]:
-        """Call `handler` with each message of that name, in the vendor's thread.
+        """Call `handler` with each message of that name, in MAVSDK's thread.
 
         Returns:
-            What ends it; harmless to call twice.
+            A function that unsubscribes it; may be called twice.
         """
         known = self._handlers.get(name)
         self._handlers[name] = (*(known or ()), handler)
@@ -104,27 +108,27 @@ class MessageHub:
         return off
 
     def attach(self, direct: MavlinkDirect) -> None:
-        """Subscribe to everything that handlers wait for."""
+        """Subscribe to all messages that have handlers."""
         self._direct = direct
         for name in self._handlers:
             self._subscribe(name)
 
     def detach(self) -> None:
-        """Forget the connection, which ends its subscriptions itself."""
+        """Detach from the connection, which ends its subscriptions itself."""
         self._direct = None
         self._subscriptions.clear()
 
     def throttle(self, names: Iterable[str]) -> None:
-        """Hear only the first of these messages after each `listen_again`, until called anew.
+        """Receive only the first of these messages after each `listen_again`, until this is called again.
 
-        A gimbal that is its own component reports 50 times a second, asked or not, and each report that reaches Python
-        costs 0.2 ms of a small computer: too much for a daemon that waits for hours.
+        A gimbal with its own MAVLink component sends 50 reports a second, requested or not, and each report that
+        reaches Python takes 0.2 ms on a small computer: too much for an idle daemon.
         """
-        self._spared = frozenset(names)
+        self._throttled = frozenset(names)
         self.listen_again()
 
     def listen_again(self) -> None:
-        """Hear what was throttled."""
+        """Subscribe again to throttled messages."""
         if self._direct is not None:
             for name in self._handlers:
                 if name not in self._subscriptions:
@@ -135,7 +139,7 @@ class MessageHub:
         def arrived(message: Any, _user_data: object) -> None:
             received = MavMessage(name, message.component_id, message.fields_json, self._clock.monotonic())
             keep_thread_state()
-            if name in self._spared:
+            if name in self._throttled:
                 self._post(self._pause, name)
             try:
                 for handler in self._handlers[name]:
@@ -147,6 +151,6 @@ class MessageHub:
             self._subscriptions[name] = self._direct.subscribe_message(name, arrived)
 
     def _pause(self, name: str) -> None:
-        if self._direct is not None and name in self._spared and name in self._subscriptions:
+        if self._direct is not None and name in self._throttled and name in self._subscriptions:
             self._direct.unsubscribe_message(self._subscriptions.pop(name))
             self._mute(name, True)

@@ -1,4 +1,4 @@
-"""Where the autopilot is, and for `serial = "auto"` which of the serial ports is the flight controller, and why."""
+"""The configured connection to the autopilot; with `serial = "auto"`, the serial port of the flight controller."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ AUTOPILOT_USB_IDS: Final[Mapping[tuple[int, int | None], str]] = {
     (0x1209, 0x5741): "ArduPilot",
     (0x1209, 0x1013): "Matek H743",
     (0x0483, 0x5740): "STM32 flight controller",
-    (0x0483, 0xA32F): "ModalAI MissionContext Core v1",
-    (0x0483, 0xA330): "ModalAI MissionContext Core v2",
+    (0x0483, 0xA32F): "ModalAI Flight Core v1",
+    (0x0483, 0xA330): "ModalAI Flight Core v2",
     (0x1B8C, 0x0036): "PX4 FMU v6U",
     (0x1FC9, 0x001C): "NXP FMUK66",
     (0x1FC9, 0x0024): "NXP Tropic",
@@ -46,7 +46,7 @@ TELEMETRY_USB_IDS: Final[Mapping[tuple[int, int | None], str]] = {
     (0x067B, None): "Prolific USB-to-serial",
     (0x1A86, None): "CH340 USB-to-serial",
 }
-"""Adapters that may lead to a flight controller's telemetry port, but as well to anything else."""
+"""USB-to-serial adapters, which may be connected to a flight controller's telemetry port or to anything else."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +58,7 @@ class SerialPort:
         vendor_id, product_id: USB ids, None if it is not a USB device.
         product: the USB product string, "" if there is none.
         stable_path: a name that survives re-plugging (/dev/serial/by-id/…), "" if there is none.
-        interface: number of the USB interface; boards with two ports speak MAVLink on the first.
+        interface: number of the USB interface; boards with two ports use MAVLink on the first.
         serial_number: of the USB device; ports with one number belong to one board.
     """
 
@@ -72,28 +72,28 @@ class SerialPort:
 
     @property
     def path(self) -> str:
-        """The best name to open."""
+        """The name to open: the stable path if there is one."""
         return self.stable_path or self.device
 
     def describe(self) -> str:
-        """One port in a message: `/dev/ttyUSB0 (10c4:ea60, CP2102)`."""
+        """Text for messages: `/dev/ttyUSB0 (10c4:ea60, CP2102)`."""
         if self.vendor_id is None or self.product_id is None:
             return f"{self.device} (not USB)"
         return f"{self.device} ({self.vendor_id:04x}:{self.product_id:04x}, {self.product or 'unnamed'})"
 
 
 def find_flight_controller(ports: Sequence[SerialPort], baud: int) -> ConnectionUrl:
-    """Choose the port of the flight controller.
+    """Select the serial port of the flight controller.
 
-    A port with a flight controller's USB ids wins; a board that shows two ports is taken at its first. Without one, a
-    single USB-to-serial adapter is taken, as it most likely leads to a telemetry port.
+    A port with a flight controller's USB ids takes precedence; of a board with two ports the first is used. Otherwise a
+    single USB-to-serial adapter is used, as it is most likely connected to a telemetry port.
 
     Args:
-        ports: all serial ports there are.
+        ports: all serial ports of the machine.
         baud: rate to open it with, bits a second (USB ports ignore it).
 
     Raises:
-        LinkError: none, or several; says which ports were seen and what to write into the config.
+        LinkError: none or several were found; the message lists the ports and the config entry to write.
     """
     for known in (AUTOPILOT_USB_IDS, TELEMETRY_USB_IDS):
         found = _one_per_board([port for port in ports if _known_as(port, known)])
@@ -104,7 +104,7 @@ def find_flight_controller(ports: Sequence[SerialPort], baud: int) -> Connection
                 f'serial = "auto" found {len(found)} ports that may be the flight controller: '
                 f'{_listing(found)}; name one: connection = "serial://{found[0].path}:{baud}"'
             )
-    seen = f"saw {_listing(ports)}" if ports else "there is no serial port at all"
+    seen = f"found {_listing(ports)}" if ports else "this machine has no serial port"
     raise LinkError(
         f'serial = "auto" found no flight controller: {seen}; plug it in, or name the port: '
         f'connection = "serial:///dev/serial/by-id/DEVICE:{baud}"'
@@ -112,7 +112,7 @@ def find_flight_controller(ports: Sequence[SerialPort], baud: int) -> Connection
 
 
 def connection_of(section: VehicleSection) -> ConnectionUrl:
-    """Where a configuration says that the autopilot is; looks through the serial ports for `serial = "auto"`.
+    """The connection of a configuration; searches the serial ports for `serial = "auto"`.
 
     Raises:
         LinkError: none or several ports may be the flight controller.
@@ -126,7 +126,7 @@ def connection_of(section: VehicleSection) -> ConnectionUrl:
 
 
 def list_serial_ports(by_id: Path = BY_ID) -> list[SerialPort]:
-    """The serial ports of this machine; real UARTs that nothing is connected to are among them."""
+    """The serial ports of this machine, including UARTs that nothing is connected to."""
     stable = _stable_paths(by_id)
     out = []
     for port in list_ports.comports():
@@ -160,7 +160,7 @@ def _known_as(port: SerialPort, known: Mapping[tuple[int, int | None], str]) -> 
 
 
 def _one_per_board(ports: Iterable[SerialPort]) -> list[SerialPort]:
-    """Keep the first interface of each board; ports without a serial number are boards of their own."""
+    """The first interface of each board; a port without a serial number counts as a board."""
     boards: dict[object, SerialPort] = {}
     for port in sorted(ports, key=lambda port: (port.interface, port.device)):
         board = (port.vendor_id, port.product_id, port.serial_number) if port.serial_number else port.device

@@ -1,4 +1,4 @@
-"""What a link expects to hear, and when to ask for it again. Pure logic; times are real seconds, handed in."""
+"""The streams that a link expects, and when to request them again. Pure logic; times are real seconds, passed in."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from dataclasses import dataclass
 from typing import Final
 
 HEARTBEAT_LOST_S: Final = 3.0
-"""Without a heartbeat of the autopilot for this long it counts as gone."""
+"""Heartbeat timeout of the autopilot."""
 
 _SILENT_S: Final = 1.0
-_RETRY_MOST_S: Final = 10.0
+_MAX_RETRY_S: Final = 10.0
 _REFUSED_RETRY_S: Final = 30.0
 _BOOT_BACK_S: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stream:
-    """A message that must be asked for with MAV_CMD_SET_MESSAGE_INTERVAL (511).
+    """A message that is requested with MAV_CMD_SET_MESSAGE_INTERVAL (511).
 
     Attributes:
-        message_id: MAVLink's number.
-        name: MAVLink's name.
-        rate_hz: wanted while a mission flies.
-        idle_rate_hz: wanted otherwise; enough to know that it is there.
+        message_id: MAVLink message id.
+        name: MAVLink message name.
+        rate_hz: rate while a mission runs.
+        idle_rate_hz: rate otherwise, sufficient to monitor the sender.
     """
 
     message_id: int
@@ -39,7 +39,7 @@ DEFAULT_STREAMS: Final = (
     Stream(message_id=33, name="GLOBAL_POSITION_INT", rate_hz=5.0, idle_rate_hz=2.0),
     Stream(message_id=1, name="SYS_STATUS", rate_hz=1.0, idle_rate_hz=1.0),
     Stream(message_id=245, name="EXTENDED_SYS_STATE", rate_hz=1.0, idle_rate_hz=1.0),
-    # of these two, ArduPilot has the first and PX4 the second
+    # ArduPilot sends the first of these two, PX4 the second
     Stream(message_id=193, name="EKF_STATUS_REPORT", rate_hz=1.0, idle_rate_hz=0.5),
     Stream(message_id=230, name="ESTIMATOR_STATUS", rate_hz=1.0, idle_rate_hz=0.5),
 )
@@ -75,56 +75,56 @@ class RebootDetector:
 
 
 class StreamHealth:
-    """One stream: whether it flows, and whether to ask for it (again).
+    """One stream: whether messages arrive, and when to request it (again).
 
-    An autopilot forgets all intervals when it reboots and loses requests on a bad link; so what was granted but is
-    silent is asked for again, with growing patience.
+    An autopilot loses all intervals when it reboots, and requests get lost on a bad link; so a granted stream that is
+    silent is requested again, at growing intervals.
     """
 
     def __init__(self, stream: Stream) -> None:
         self.stream = stream
         self.count = 0
-        """Messages that arrived; counted in the vendor's thread."""
+        """Number of received messages; updated in MAVSDK's thread."""
         self.last_s = -math.inf
-        """When the last one arrived."""
+        """When the last message arrived."""
         self.refused = False
-        """The autopilot said that it cannot."""
+        """The autopilot refused the request."""
         self._asked_hz = 0.0
         self._next_ask_s = -math.inf
-        self._patience_s = _SILENT_S
+        self._delay_s = _SILENT_S
 
     def note(self, now_s: float) -> None:
-        """A message arrived; in the vendor's thread."""
+        """Count a message; called in MAVSDK's thread."""
         self.count += 1
         self.last_s = now_s
 
     def forget(self) -> None:
-        """The autopilot rebooted, or the link was away: ask at once."""
+        """The autopilot rebooted, or the link was lost: request the stream at once."""
         self._asked_hz = 0.0
         self._next_ask_s = -math.inf
-        self._patience_s = _SILENT_S
+        self._delay_s = _SILENT_S
 
     def due(self, wanted_hz: float, now_s: float) -> bool:
-        """Whether to ask for `wanted_hz` now."""
+        """Whether to request `wanted_hz` now."""
         if wanted_hz != self._asked_hz and not self.refused:
             return now_s >= self._next_ask_s or self._asked_hz > 0
         silent = now_s - self.last_s > max(_SILENT_S, 5.0 / wanted_hz)
         return (silent or self.refused) and now_s >= self._next_ask_s
 
     def asked(self, wanted_hz: float, now_s: float, *, granted: bool | None) -> None:
-        """Note the answer to a request.
+        """Record the answer to a request.
 
         Args:
-            wanted_hz: what was asked for.
-            now_s: when the answer came.
-            granted: None if there was no answer.
+            wanted_hz: the requested rate.
+            now_s: when the answer arrived.
+            granted: None without an answer.
         """
         self.refused = granted is False
         self._asked_hz = wanted_hz if granted else 0.0
-        self._next_ask_s = now_s + (_REFUSED_RETRY_S if self.refused else self._patience_s)
-        self._patience_s = min(2 * self._patience_s, _RETRY_MOST_S)
+        self._next_ask_s = now_s + (_REFUSED_RETRY_S if self.refused else self._delay_s)
+        self._delay_s = min(2 * self._delay_s, _MAX_RETRY_S)
 
     def settle(self, wanted_hz: float, now_s: float) -> None:
-        """Forget past trouble if it flows."""
+        """Reset the retry interval if messages arrive."""
         if now_s - self.last_s <= max(_SILENT_S, 5.0 / wanted_hz):
-            self._patience_s = _SILENT_S
+            self._delay_s = _SILENT_S

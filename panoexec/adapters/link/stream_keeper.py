@@ -1,4 +1,4 @@
-"""Keeps the streams flowing that a link needs, at the rates of the moment."""
+"""Requests the message streams that a link needs, at the current rates."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ Command: TypeAlias = Callable[[int, Sequence[float]], Awaitable[int]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamReport:
-    """How one stream does.
+    """The status of one stream.
 
     Attributes:
-        stream: which.
-        wanted_hz: what was asked for.
-        measured_hz: what arrived in the last seconds, by the mission's clock.
-        refused: the autopilot said that it cannot.
-        age_s: real seconds since the last one; infinity before the first.
+        stream: the stream.
+        wanted_hz: requested rate.
+        measured_hz: received rate over the last seconds of the mission's clock.
+        refused: the autopilot refused the request.
+        age_s: real seconds since the last message; infinity before the first.
     """
 
     stream: Stream
@@ -43,7 +43,7 @@ class StreamReport:
 
 
 class StreamKeeper:
-    """Asks for streams, sees whether they flow, asks again; notices reboots by the time stamps in them."""
+    """Requests streams, again if they stop; detects reboots by their time stamps."""
 
     def __init__(
         self,
@@ -54,19 +54,19 @@ class StreamKeeper:
         command: Command,
         rebooted: Callable[[], None],
     ) -> None:
-        """Describe it; nothing happens before `ask`.
+        """Create it; nothing is sent before `ask`.
 
         Args:
-            streams: what is needed.
-            hub: where messages arrive.
+            streams: the required streams.
+            hub: source of the messages.
             clock: of the mission.
             command: sends a command to the autopilot, returns its MAV_RESULT, raises DeviceError.
-            rebooted: called in the vendor's thread.
+            rebooted: called in MAVSDK's thread after a reboot.
         """
         self.active = False
-        """Whether the rates of a flying mission are wanted."""
+        """Whether to request the rates of a running mission."""
         self.throttled: dict[int, float] = {}
-        """Rates, Hz, of messages (by number) that are wanted less often for now than their stream says."""
+        """Lower rates, Hz, by message id, that temporarily replace those of the streams."""
         self.boots = RebootDetector()
         self._watches = [StreamHealth(stream) for stream in streams]
         self._measured = {stream.name: (0, clock.monotonic(), 0.0) for stream in streams}
@@ -78,12 +78,12 @@ class StreamKeeper:
             hub.on(watch.stream.name, partial(self._arrived, watch))
 
     def forget(self) -> None:
-        """The autopilot has forgotten, or may have: ask for everything at once."""
+        """The autopilot may have lost the intervals: request all streams at once."""
         for watch in self._watches:
             watch.forget()
 
     async def ask(self) -> None:
-        """Ask for what is missing and due. Never raises for an autopilot that refuses or does not answer."""
+        """Request the streams that are due. Does not raise if the autopilot refuses or does not answer."""
         async with self._asking:
             for watch in self._watches:
                 wanted, now = self._wanted_hz(watch), time.monotonic()
@@ -94,12 +94,12 @@ class StreamKeeper:
                     result = await self._command(SET_MESSAGE_INTERVAL, [watch.stream.message_id, 1e6 / wanted])
                 except DeviceError:
                     watch.asked(wanted, time.monotonic(), granted=None)
-                    return  # nothing else will be answered either
+                    return  # further requests would not be answered either
                 granted = {0: True, 1: None}.get(result, False)  # 1: temporarily rejected
                 watch.asked(wanted, time.monotonic(), granted=granted)
 
     def measure(self) -> None:
-        """Update the measured rates; to be called a few times a second."""
+        """Update the measured rates; call it a few times a second."""
         now = self._clock.monotonic()
         for watch in self._watches:
             count, since_s, _ = self._measured[watch.stream.name]
@@ -108,7 +108,7 @@ class StreamKeeper:
                 self._measured[watch.stream.name] = (watch.count, now, rate)
 
     def reports(self) -> list[StreamReport]:
-        """How the streams do."""
+        """The status of all streams."""
         now = time.monotonic()
         return [
             StreamReport(

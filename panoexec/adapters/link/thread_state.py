@@ -14,7 +14,7 @@ _known = threading.local()
 
 
 def keep_thread_state() -> None:
-    """Keep what Python knows of the thread that calls this, one that Python did not make; harmless to repeat.
+    """Keep the Python thread state of the calling thread, which Python did not create; may be called repeatedly.
 
     For each callback of such a thread ctypes makes a thread state, with memory of its own from the system, and destroys
     it afterwards (PyGILState_Ensure and _Release, which count), a hundred times a second. Counted once more, the state

@@ -1,9 +1,9 @@
-"""Blocking calls in threads that nobody has to wait for.
+"""Blocking calls in daemon threads, which never block the shutdown.
 
-MAVSDK's commands block until they are answered or time out (2.0 s on a dead link, measured), outlive a cancelled
-`await`, and block for ever when the `Mavsdk` instance is destroyed under them (measured). The event loop's own executor
-would then hang at shutdown, as its threads are joined. So: daemon threads, and a `drain` to let calls end before
-anything is destroyed.
+MAVSDK's commands block until they are answered or time out (measured: 2.0 s on a dead link), continue after their
+`await` was cancelled, and block for ever if the `Mavsdk` instance is destroyed meanwhile (measured). The event loop's
+own executor would then hang at shutdown, because it joins its threads. So the threads are daemons, and `drain` waits
+for running calls before anything is destroyed.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ _Job = tuple[Callable[[], Any], asyncio.AbstractEventLoop, "asyncio.Future[Any]"
 
 
 class WorkerCalls:
-    """A few daemon threads that run blocking calls for one event loop."""
+    """A pool of daemon threads that runs blocking calls for one event loop."""
 
     def __init__(self, name: str, threads: int = 4) -> None:
-        """Args: name of the threads, for humans; how many calls can block at once."""
+        """Start the threads: `name` is their prefix, `threads` the number of calls that can block at once."""
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         self._busy = 0
         self._idle = asyncio.Event()
@@ -36,11 +36,11 @@ class WorkerCalls:
             thread.start()
 
     async def run(self, call: Callable[[], T]) -> T:
-        """Run `call` in a thread and return its result; a cancelled `await` leaves the call running to its end."""
+        """Run `call` in a thread and return its result; a cancelled `await` does not interrupt the call."""
         return await self.submit(call)
 
     def submit(self, call: Callable[[], T]) -> asyncio.Future[T]:
-        """Run `call` in a thread; on the event loop."""
+        """Run `call` in a thread and return its future; call this on the event loop."""
         loop = asyncio.get_running_loop()
         future: asyncio.Future[T] = loop.create_future()
         self._busy += 1
@@ -49,7 +49,7 @@ class WorkerCalls:
         return future
 
     async def drain(self, timeout_s: float) -> bool:
-        """Wait until no call runs, at most `timeout_s` (real seconds); False if some still do."""
+        """Wait until no call runs, at most `timeout_s` (real seconds); False at the timeout."""
         try:
             async with asyncio.timeout(timeout_s):
                 await self._idle.wait()
@@ -58,7 +58,7 @@ class WorkerCalls:
         return True
 
     def stop(self) -> None:
-        """Let the threads end when they have nothing more to do; never waits."""
+        """Let the threads end after their queued calls; does not wait."""
         for _ in self._threads:
             self._jobs.put(None)
 
@@ -68,9 +68,9 @@ class WorkerCalls:
             result, error = None, None
             try:
                 result = call()
-            except Exception as caught:  # noqa: BLE001 - handed over to the one who awaits it
+            except Exception as caught:  # noqa: BLE001 - passed to the caller
                 error = caught
-            # a loop that was closed meanwhile has nobody who waits
+            # the loop was closed meanwhile: no task waits
             with contextlib.suppress(RuntimeError):
                 loop.call_soon_threadsafe(self._done, future, result, error)
             del job, call, future, result, error

@@ -1,1 +1,1 @@
-"""The record of a mission: its events, states, and what follows from them."""
+"""The record of a mission: events, states and the values derived from them."""

@@ -1,8 +1,8 @@
-"""Everything that happens in a mission, as values: what the journal keeps, the executor's memory folds, consumers see.
+"""The events of a mission: stored in the journal, folded into the mission's record and published to consumers.
 
-An event is stamped with its mission and a running number `seq` that goes on across restarts of the process, so
-`mission_id` and `seq` together let a consumer drop repeats; events of a shot also carry the shot's index and the number
-of the attempt. An event is announced only after the journal has it.
+An event carries its mission's id and a sequence number `seq` that continues across restarts of the process, so
+consumers can drop duplicates by `mission_id` and `seq`; events of a shot also carry the shot's index and the number of
+the attempt. An event is published only after the journal has stored it.
 
 Angles of attitudes are in the plan's frame: yaw 0 is the plan's reference direction. Quaternions are `[w, x, y, z]`,
 camera (FRD) to that frame (NED); roll, pitch and yaw are the gimbal's axes in 3-1-2 order (`panoexec.angles`).
@@ -26,7 +26,7 @@ NAN = float("nan")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisErrors:
-    """The largest pointing errors of an exposure, each with its sign, degrees (`planning.geometry.pose_error`)."""
+    """The largest pointing errors of an exposure, signed, in degrees (`planning.geometry.pose_error`)."""
 
     pitch_deg: Number
     roll_deg: Number
@@ -49,15 +49,15 @@ class MeasuredPose:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Photo:
-    """What is known of one photo.
+    """The record of one photo.
 
     Attributes:
         number: within its attempt, from 1 (brackets have several).
-        evidence: the best proof so far.
-        capture_time_utc_s: when it was exposed: as the camera says, else when the trigger went out.
-        image_index: the camera's running number, or -1.
-        file: name or URL as the camera tells it, or "".
-        latitude_deg, longitude_deg, altitude_m: where, or NaN.
+        evidence: the best evidence so far.
+        capture_time_utc_s: exposure time as reported by the camera, else the time of the trigger.
+        image_index: the camera's image index, or -1.
+        file: file name or URL as reported by the camera, or "".
+        latitude_deg, longitude_deg, altitude_m: position, or NaN.
         duplicates: further reports of the same photo.
     """
 
@@ -74,14 +74,14 @@ class Photo:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
-    """The head of every event; the recorder stamps it.
+    """The common fields of all events, set by the recorder.
 
     Attributes:
-        mission_id: which mission.
+        mission_id: the mission.
         seq: 1, 2, 3, … within the mission.
         time_utc_s: wall time.
-        clock_s: the mission's clock, seconds (of a dry-run: the simulated vehicle's); differences within one process
-            are durations, whatever became of wall time. NaN where nobody told.
+        clock_s: the mission's clock, seconds (in a dry-run: the simulated vehicle's); differences within one process
+            are durations that do not depend on wall time. NaN if unknown.
         state: the mission's state after the event.
     """
 
@@ -105,7 +105,7 @@ class Event:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionStarted(Event):
-    """The mission begins, or goes on in a new process (`resumed`); preflight checks follow."""
+    """The mission begins, or continues in a new process (`resumed`); preflight checks follow."""
 
     shots_total: Whole
     resumed: Flag = False
@@ -121,7 +121,7 @@ class MissionStarted(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionAnchored(Event):
-    """The vehicle told later than at the start of the process where it is, or where its nose points."""
+    """Position or heading of the vehicle became known after the start of the process."""
 
     reference_yaw_north_deg: Number = NAN
     """Direction of the plan's yaw 0, clockwise from true north; holds if none was known."""
@@ -133,19 +133,19 @@ class MissionAnchored(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PreflightPassed(Event):
-    """All checks before the flight are good; shooting begins."""
+    """All preflight checks passed; shooting begins."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PreflightFailed(Event):
-    """Checks before the flight failed; the mission does not begin."""
+    """Preflight checks failed; the mission does not begin."""
 
     problems: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandReceived(Event):
-    """Somebody asked for something while the mission runs."""
+    """A command to the running mission was accepted."""
 
     command: str
     shot: Whole | None = None
@@ -154,7 +154,7 @@ class CommandReceived(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Warned(Event):
-    """Something that a pilot should know and that stops nothing."""
+    """A warning for the pilot; the mission continues."""
 
     code: str
     text: str
@@ -162,24 +162,24 @@ class Warned(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GimbalAcquired(Event):
-    """The gimbal's manager names us as the one in control."""
+    """The gimbal manager confirmed panoexec as primary control."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GimbalReleased(Event):
-    """Control of the gimbal was given back (or the gimbal could not be reached within the bound)."""
+    """Control of the gimbal was released (`confirmed` is false if the gimbal did not confirm it in time)."""
 
     confirmed: Flag = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionPaused(Event):
-    """Shooting holds.
+    """Shooting is paused.
 
     Attributes:
         code: the guard or command that paused it.
         reason: for the pilot.
-        automatic: goes on by itself when the reason is gone; else it waits for `resume`.
+        automatic: continues by itself when the cause is gone; else it waits for `resume`.
     """
 
     code: str
@@ -189,7 +189,7 @@ class MissionPaused(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionResumed(Event):
-    """Shooting goes on after a pause of `paused_s`."""
+    """Shooting continues after a pause of `paused_s`."""
 
     paused_s: Number
     reason: str = ""
@@ -197,14 +197,14 @@ class MissionResumed(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionFinishing(Event):
-    """Nothing is left to shoot, or somebody accepts the gaps."""
+    """No shots are left, or a command accepted the gaps."""
 
     reason: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PatchPlanned(Event):
-    """Shots were added to close holes that the measured attitudes leave."""
+    """Shots were added to close holes of the measured attitudes."""
 
     shots: tuple[Whole, ...]
     rows: tuple[Whole, ...]
@@ -217,11 +217,11 @@ class PatchPlanned(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionFinished(Event):
-    """The end: the state is one of complete, incomplete, aborted, failed.
+    """The mission ended: its state is complete, incomplete, aborted or failed.
 
     Attributes:
-        reason: why it ended so.
-        accepted: shots with an accepted photo.
+        reason: why it ended in this state.
+        accepted: number of shots with an accepted photo.
         missing: indices of shots without one.
         certified: whether the measured attitudes pass the certificate; None if it was not computed.
     """
@@ -234,7 +234,7 @@ class MissionFinished(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotEvent(Event):
-    """Head of the events of one attempt at a shot; attempts of a shot count from 1 across rounds and restarts."""
+    """Common fields of the events of one attempt at a shot; attempts count from 1 across rounds and restarts."""
 
     shot: Whole
     attempt: Whole
@@ -242,12 +242,12 @@ class ShotEvent(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotStarted(ShotEvent):
-    """The slew to a shot begins; durable before its trigger goes out.
+    """The slew to a shot begins; on disk before its trigger is sent.
 
     Attributes:
-        round: 0 in the first pass over the shots, then 1, 2, … for shots put off.
+        round: 0 in the first pass over the shots, then 1, 2, … for deferred shots.
         pitch_deg, yaw_deg: the target in the plan's frame.
-        patience_s: how long it may take to settle beyond the expected slew.
+        patience_s: settle timeout beyond the expected slew.
     """
 
     round: Whole
@@ -258,19 +258,19 @@ class ShotStarted(ShotEvent):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotExposed(ShotEvent):
-    """Photos were triggered, and the attitudes of the exposure are judged; evidence may still be on its way.
+    """Photos were triggered and the attitudes of the exposure are judged; evidence may be outstanding.
 
     Attributes:
-        photos: with the evidence known by now.
-        pointing_ok: every sample of the exposure window was inside tolerance, and there were enough of them.
+        photos: with the evidence so far.
+        pointing_ok: every sample of the exposure window was inside tolerance, and the samples were dense enough.
         reason: why not.
-        samples: attitude samples judged.
+        samples: number of attitude samples judged.
         measured: mean attitude; None without usable samples.
-        errors: the worst of each error; None likewise.
+        errors: the largest of each error; None without usable samples.
         slew_settle_s: from the pointing command to settled.
         trigger_delay_s: from settled to the trigger command on the wire.
-        open_loop: there is no attitude feedback; the pose is a belief.
-        images_before: how many images the camera counted before the trigger; -1 where that was not known.
+        open_loop: there is no attitude feedback; the pose is assumed.
+        images_before: the camera's image count before the trigger; -1 if unknown.
         may_overlap: outside tolerance, but sharp: the overlaps decide.
     """
 
@@ -289,10 +289,10 @@ class ShotExposed(ShotEvent):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotAccepted(ShotEvent):
-    """The attempt counts: pointing proven and the photo evident.
+    """The attempt is accepted: pointing is verified and there is evidence of the photo.
 
     Attributes:
-        photos: with the evidence that decided.
+        photos: with the evidence that was decisive.
         by: `tolerance`, `overlap` (outside tolerance, but the certificate holds with the measured attitude) or
             `open_loop`.
     """
@@ -303,7 +303,7 @@ class ShotAccepted(ShotEvent):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotRejected(ShotEvent):
-    """The attempt does not count.
+    """The attempt is rejected.
 
     Attributes:
         code: `not_settled`, `pointing`, `no_samples`, `trigger`, `evidence`, `gimbal`, `vehicle`, `crash`.
@@ -317,21 +317,21 @@ class ShotRejected(ShotEvent):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotInterrupted(ShotEvent):
-    """The attempt ended before its photo, through no fault of the shot; it does not count as tried."""
+    """The attempt was interrupted before its photo; it does not count as an attempt."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotRetaken(ShotEvent):
-    """The attempt with this number will try the shot again at once, for this reason."""
+    """The shot is taken again at once, as attempt number `attempt`."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotDeferred(ShotEvent):
-    """The shot comes again after the others; `attempt` was the last one."""
+    """The shot is taken again after the others; `attempt` was the last one."""
 
     reason: str
     round: Whole
@@ -339,30 +339,30 @@ class ShotDeferred(ShotEvent):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotMissed(ShotEvent):
-    """All attempts are used up; the shot stays a gap unless it is repeated or patched."""
+    """All attempts are used up; the shot stays missing unless it is repeated or patched."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotSkipped(ShotEvent):
-    """Somebody decided to leave the shot out."""
+    """The shot was skipped by command."""
 
     reason: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotoIdentified(ShotEvent):
-    """More became known of an attempt's photos after its verdict (a file name, better evidence)."""
+    """More became known about an attempt's photos after its verdict (a file name, better evidence)."""
 
     photos: tuple[Photo, ...]
 
 
 class EventSink(Protocol):
-    """Where events go once they are durable."""
+    """Receives events after they were stored."""
 
     def publish(self, event: Event) -> None:
-        """Take one event, at once; must not block and must not raise."""
+        """Take one event; must not block and must not raise."""
         ...
 
 
@@ -377,21 +377,21 @@ def _concrete(cls: type[Event]) -> dict[str, type[Event]]:
 EVENT_TYPES: Mapping[str, type[Event]] = types.MappingProxyType(
     {name: cls for name, cls in _concrete(Event).items() if name != "shot_event"}
 )
-"""All kinds of events by the `type` of their JSON."""
+"""All event classes by the `type` of their JSON."""
 
 
 class UnknownEventError(ValueError):
-    """An event of a type that this version does not have."""
+    """An event of a type that this version does not know."""
 
 
 def event_from_json(data: Mapping[str, Any]) -> Event:
-    """The event that `to_json` wrote.
+    """Parse the JSON that `to_json` produced.
 
     Raises:
         UnknownEventError: an unknown type.
-        ValueError: fields that do not fit it.
+        ValueError: invalid fields.
     """
     cls = EVENT_TYPES.get(str(data.get("type"))) if isinstance(data, Mapping) else None
     if cls is None:
-        raise UnknownEventError(f"no event of a known type: {str(data)[:80]}")
+        raise UnknownEventError(f"unknown event type: {str(data)[:80]}")
     return decode(cls, data)

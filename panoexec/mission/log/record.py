@@ -1,4 +1,4 @@
-"""What is known of a mission: a fold over its events, the same while flying and after a restart."""
+"""The state of a mission: a fold over its events, the same while it runs and after a restart."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from panoexec.planning.model import Shot
 
 
 class ShotStatus(StrEnum):
-    """Where a shot stands; a shot is always in exactly one of these."""
+    """The state of a shot."""
 
     PENDING = "pending"
-    """Not tried, or to be tried again."""
+    """Not taken yet, or to be taken again."""
     ACTIVE = "active"
-    """An attempt is on its way to its photo."""
+    """An attempt is in progress, before its photo."""
     EXPOSED = "exposed"
-    """Photo taken and pointing proven; evidence is awaited."""
+    """The photo was triggered; its evidence is awaited."""
     ACCEPTED = "accepted"
     DEFERRED = "deferred"
-    """Comes again after the others."""
+    """To be taken again after the others."""
     SKIPPED = "skipped"
-    """Left out by decision."""
+    """Skipped by command."""
     MISSED = "missed"
     """All attempts used up."""
 
 
 class Verdict(StrEnum):
-    """How an attempt ended, or where it is."""
+    """The verdict on an attempt."""
 
     OPEN = "open"
     ACCEPTED = "accepted"
@@ -46,7 +46,7 @@ class Verdict(StrEnum):
 
 @dataclass(slots=True, kw_only=True)
 class AttemptRecord:
-    """One attempt at a shot; grows while events come in."""
+    """One attempt at a shot; updated by events."""
 
     number: int
     round: int
@@ -88,15 +88,15 @@ class ShotRecord:
 
 
 @dataclass(slots=True)
-class Asked:
-    """What was asked of the mission by command, and is not done yet: a process that dies must not forget it.
+class PendingCommands:
+    """Commands that were accepted but not carried out yet; kept so that they survive a crash.
 
     Attributes:
-        end: the command that ends it, `abort` or `finish`; "" for none.
-        reason: that was given with it.
-        pause: it is to hold until somebody says `resume`.
-        skips: shots to be left out, whose attempt is still to get its verdict.
-        repeats: shots to be taken again.
+        end: the command that ends the mission, `abort` or `finish`; "" for none.
+        reason: the reason given with it.
+        pause: the mission is to pause until `resume`.
+        skips: shots to skip whose attempt has no verdict yet.
+        repeats: shots to take again.
     """
 
     end: str = ""
@@ -105,23 +105,23 @@ class Asked:
     skips: set[int] = field(default_factory=set)
     repeats: set[int] = field(default_factory=set)
 
-    def hear(self, event: ev.Event) -> None:
-        """Take what was asked for, or what makes it superfluous."""
+    def apply(self, event: ev.Event) -> None:
+        """Add the command of an event, or remove commands that the event completes."""
         match event:
             case ev.CommandReceived():
                 self._take(event)
             case ev.MissionStarted():
-                self.pause = False  # somebody wants it to go on
+                self.pause = False  # a start or resume ends the pause
             case ev.ShotSkipped():
                 self.skips.discard(event.shot)
                 self.repeats.discard(event.shot)
             case ev.ShotAccepted():
                 self.skips.discard(event.shot)
-            case ev.ShotStarted():  # from here on the shot's own status tells
+            case ev.ShotStarted():  # from here on the shot's status is decisive
                 self.repeats.discard(event.shot)
 
     def _take(self, event: ev.CommandReceived) -> None:
-        """Take a command; an abort overrules a finish."""
+        """Add a command; an abort overrides a finish."""
         match event.command:
             case "abort" | "finish" if self.end != "abort":
                 self.end, self.reason = event.command, event.reason
@@ -135,10 +135,10 @@ class Asked:
 
 
 class MissionRecord:
-    """The state of a mission as its events tell it.
+    """The state of a mission, built from its events.
 
-    Applying an event that contradicts the ones before is an error of the program (or a damaged journal), never ignored:
-    an illegal transition, a verdict on an attempt that never began, a second verdict on one.
+    An event that contradicts earlier ones is a bug (or a damaged journal) and raises: an illegal transition, a verdict
+    on an attempt that never began, a second verdict.
     """
 
     def __init__(self, *, mission_id: str, shots: Sequence[Shot]) -> None:
@@ -150,60 +150,60 @@ class MissionRecord:
         self.reference = "north"
         self.reference_yaw_north_deg = math.nan
         self.origin: tuple[float, float, float] = (math.nan, math.nan, math.nan)
-        """Latitude, longitude, altitude above sea level where the mission began, or went on after a restart."""
-        self.anchored = False
-        """Whether this process knows it."""
+        """Latitude, longitude, altitude above sea level where the mission began, or continued after a restart."""
+        self.origin_known = False
+        """Whether the origin of this process is known."""
         self.first_origin = self.origin
-        """Where the first photos were taken."""
+        """The origin of the first process that knew one."""
         self.last_accepted: int | None = None
-        """The shot whose photo was accepted last."""
+        """The most recently accepted shot."""
         self.started_utc_s = math.nan
         self.finished_utc_s = math.nan
         self.restarts = 0
         self.retakes = 0
         self.current: int | None = None
         self.gimbal_held = False
-        """This process has the gimbal."""
+        """This process controls the gimbal."""
         self.gimbal_left = False
-        """An earlier process had it when it ended, and did not give it back."""
+        """An earlier process ended without releasing the gimbal."""
         self.open_loop = False
         self.certified: bool | None = None
         self.warnings: list[str] = []
         self.patch_rounds = 0
-        self.asked = Asked()
+        self.asked = PendingCommands()
         self._done: set[int] = set()
         self._attempts = 0
 
     @classmethod
     def from_events(cls, *, mission_id: str, shots: Sequence[Shot], events: Iterable[ev.Event]) -> MissionRecord:
-        """The record that these events lead to."""
+        """Build the record from events."""
         record = cls(mission_id=mission_id, shots=shots)
         for event in events:
             record.apply(event)
         return record
 
     def apply(self, event: ev.Event) -> None:  # noqa: C901, PLR0912  (one case a kind of event)
-        """Take the next event.
+        """Apply the next event.
 
         Raises:
-            MissionError: it contradicts what came before.
-            ValueError: likewise.
+            MissionError: an illegal state transition.
+            ValueError: the event contradicts earlier ones.
         """
         if event.seq != self.seq + 1:
-            raise ValueError(f"event {event.seq} after {self.seq}: one is missing or came twice")
+            raise ValueError(f"event {event.seq} follows {self.seq}: an event is missing or duplicated")
         if isinstance(event, ev.MissionStarted):
-            self.state = MissionState.IDLE  # a new process: whatever the last one was doing ended with it
+            self.state = MissionState.IDLE  # a new process: the state of the last one does not matter
         if event.state is not self.state:
             check_transition(self.state, event.state)
             self.state = event.state
             self.reason = ""
         self.seq = event.seq
-        self.asked.hear(event)
+        self.asked.apply(event)
         match event:
             case ev.MissionStarted():
                 self._start(event)
             case ev.MissionAnchored():
-                self._anchor(event)
+                self._set_reference_frame(event)
             case ev.MissionPaused() | ev.MissionFinishing():
                 self.reason = event.reason
             case ev.MissionFinished():
@@ -227,21 +227,21 @@ class MissionRecord:
     def _start(self, event: ev.MissionStarted) -> None:
         self.gimbal_left |= self.gimbal_held
         self.gimbal_held = False
-        self.anchored = False
-        self._anchor(event)
+        self.origin_known = False
+        self._set_reference_frame(event)
         if event.resumed:
             self.restarts += 1
             return
         self.reference = event.reference
         self.started_utc_s = event.time_utc_s
 
-    def _anchor(self, event: ev.MissionStarted | ev.MissionAnchored) -> None:
-        if not self.anchored and not math.isnan(event.latitude_deg):
+    def _set_reference_frame(self, event: ev.MissionStarted | ev.MissionAnchored) -> None:
+        if not self.origin_known and not math.isnan(event.latitude_deg):
             self.origin = (event.latitude_deg, event.longitude_deg, event.altitude_m)
-            self.anchored = True
+            self.origin_known = True
             if math.isnan(self.first_origin[0]):
                 self.first_origin = self.origin
-        # the earlier photos depend on this direction, so it stays once it is known
+        # earlier photos depend on this direction, so it is never changed
         if math.isnan(self.reference_yaw_north_deg):
             self.reference_yaw_north_deg = event.reference_yaw_north_deg
 
@@ -281,7 +281,7 @@ class MissionRecord:
                 attempt.verdict, attempt.by, attempt.photos = Verdict.ACCEPTED, event.by, event.photos
                 record.status, record.reason = ShotStatus.ACCEPTED, ""
                 self.last_accepted = event.shot
-                self._done.add(event.shot)  # for good: what is accepted is never taken back, only repeated
+                self._done.add(event.shot)  # final: an accepted shot can be repeated but not revoked
             case ev.ShotRejected():
                 attempt = self._open(event)
                 attempt.verdict, attempt.code, attempt.reason = Verdict.REJECTED, event.code, event.reason
@@ -303,7 +303,7 @@ class MissionRecord:
                 record.status, record.reason = ShotStatus.DEFERRED, event.reason
             case ev.ShotMissed() | ev.ShotSkipped():
                 ended = ShotStatus.MISSED if isinstance(event, ev.ShotMissed) else ShotStatus.SKIPPED
-                # a repeat that came to nothing leaves the earlier photo in force
+                # after a failed repeat the earlier photo still counts
                 record.status = ended if record.accepted is None else ShotStatus.ACCEPTED
                 record.reason = event.reason
             case ev.PhotoIdentified():
@@ -320,22 +320,22 @@ class MissionRecord:
 
     @property
     def ended(self) -> bool:
-        """Whether nothing happens any more in this process."""
+        """Whether the mission has ended."""
         return self.state in ENDED
 
     @property
     def shots_total(self) -> int:
-        """Shots of the plan and patches."""
+        """Number of shots of the plan and patches."""
         return len(self.shots)
 
     @property
     def shots_done(self) -> int:
-        """Shots with an accepted photo."""
+        """Number of shots with an accepted photo."""
         return len(self._done)
 
     @property
     def attempts(self) -> int:
-        """Attempts begun, of all shots."""
+        """Number of attempts begun, over all shots."""
         return self._attempts
 
     def missing(self) -> tuple[int, ...]:
@@ -346,7 +346,7 @@ class MissionRecord:
         """Measured attitudes of the accepted shots (n, 3, 3), camera to plan frame, and the row of each.
 
         Args:
-            also: shots to be counted too, with the pose given; the last pose given for a shot holds.
+            also: further shots with their poses; the last pose of a shot counts.
         """
         poses: dict[int, ev.MeasuredPose] = {}
         for index, shot in sorted(self.shots.items()):
@@ -359,7 +359,7 @@ class MissionRecord:
         return (rotation_from_quaternion(q) if rows else np.empty((0, 3, 3))), rows
 
     def wanted(self) -> list[tuple[int, ev.MeasuredPose]]:
-        """Shots that are still to come, with the poses they are believed to get: measured if exposed, else planned."""
+        """The remaining shots with their expected poses: measured if exposed inside tolerance, else planned."""
         coming = {ShotStatus.PENDING, ShotStatus.ACTIVE, ShotStatus.DEFERRED, ShotStatus.EXPOSED}
         out = []
         for index, shot in sorted(self.shots.items()):
@@ -371,7 +371,7 @@ class MissionRecord:
         return out
 
     def skipped(self) -> list[tuple[int, ev.MeasuredPose]]:
-        """Shots that were left out by decision, with their planned poses."""
+        """Skipped shots with their planned poses."""
         return [
             (index, planned_pose(shot.shot))
             for index, shot in sorted(self.shots.items())
@@ -379,11 +379,11 @@ class MissionRecord:
         ]
 
     def renumbered(self, shots: Sequence[Shot]) -> list[Shot]:
-        """The shots with indices that follow the last one of the mission."""
+        """The shots with indices that continue those of the mission."""
         first = max(self.shots, default=-1) + 1
         return [replace(shot, index=first + i) for i, shot in enumerate(shots)]
 
 
 def planned_pose(shot: Shot) -> ev.MeasuredPose:
-    """The pose of a shot as planned."""
+    """The planned pose of a shot."""
     return pose_of(rotation(shot.yaw_deg, shot.pitch_deg))

@@ -1,4 +1,4 @@
-"""Stamps events, keeps the record, and announces an event only when the journal has it."""
+"""Stamps events, applies them to the record, and publishes an event only after the journal has stored it."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ E = TypeVar("E", bound=Event)
 
 
 class Recorder:
-    """The one way by which something becomes part of a mission.
+    """The single entry point for a mission's events.
 
-    `emit` changes the record at once, in memory; the `run` task writes what has gathered in one transaction and then
-    publishes it, so that the mission never waits for the disk unless it asks to (`durable`).
+    `emit` changes the record at once, in memory; the `run` task writes all queued events in one transaction and then
+    publishes them, so that the mission waits for the disk only in `durable`.
     """
 
     def __init__(self, *, record: MissionRecord, journal: Journal, sink: EventSink, clock: Clock) -> None:
@@ -35,15 +35,15 @@ class Recorder:
         self._closing = False
 
     def emit(self, event: E, state: MissionState | None = None) -> E:
-        """Stamp the event, apply it to the record and put it on its way to the journal.
+        """Stamp the event, apply it to the record and queue it for the journal.
 
         Args:
             event: without its stamp.
-            state: the mission's state from now on; None: it stays.
+            state: the mission's state from now on; None: unchanged.
 
         Raises:
-            MissionError: the record refuses it: a fault of the program.
-            ValueError: likewise.
+            MissionError: an illegal state transition (a bug).
+            ValueError: the event contradicts earlier ones (a bug).
         """
         stamped = replace(
             event,
@@ -59,17 +59,17 @@ class Recorder:
         return stamped
 
     def blocker(self, seq: int) -> asyncio.Event | None:
-        """None when event `seq` is on disk and announced; else an event to wait for before asking again."""
+        """None if event `seq` is on disk and published; else an `asyncio.Event` to await before calling again."""
         return None if self._durable_seq >= seq else self._progress
 
     async def durable(self) -> None:
-        """Return when everything emitted so far is on disk and announced."""
+        """Return when everything emitted so far is on disk and published."""
         seq = self.record.seq
         while (blocker := self.blocker(seq)) is not None:
             await blocker.wait()
 
     async def run(self) -> None:
-        """Write and announce until closed.
+        """Write and publish events until closed.
 
         Raises:
             MissionError: the journal cannot be written; the mission must end.
@@ -92,6 +92,6 @@ class Recorder:
                 self._work.set()
 
     def close(self) -> None:
-        """Let `run` return when all is written."""
+        """Let `run` return when all events are written."""
         self._closing = True
         self._work.set()

@@ -1,4 +1,4 @@
-"""Where each shot of a mission stands, as pictures of it show it, and in a line of text for those who look on."""
+"""The mark of each shot (its state as maps show it), and a one-line text of all marks for remote views."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from panoexec.mission.log.record import MissionRecord, ShotRecord, ShotStatus
 
 
 class ShotMark(StrEnum):
-    """Where a shot stands; the letter is that of the text."""
+    """The state of a shot in a map; the value is its letter in the text."""
 
     TO_DO = "t"
     CURRENT = "c"
-    """It is being taken."""
+    """Being taken."""
     DONE = "d"
-    """Its first photo counts."""
+    """Accepted at the first attempt."""
     RETAKEN = "r"
-    """A later photo counts."""
+    """Accepted at a later attempt."""
     AGAIN = "a"
-    """Tried, and to be taken again."""
+    """Rejected, to be taken again."""
     MISSING = "m"
-    """Given up or left out."""
+    """Missed or skipped."""
 
 
 _RUN: Final = re.compile(r"([tcdram])([1-9][0-9]{0,6})")
 
 
 def mark_of(record: ShotRecord, *, current: bool) -> ShotMark:
-    """Where a shot stands.
+    """The mark of a shot.
 
     Args:
         record: of the shot.
-        current: it is the mission's current one.
+        current: whether it is the mission's current shot.
     """
     if current and record.status in {ShotStatus.ACTIVE, ShotStatus.EXPOSED}:
         return ShotMark.CURRENT
@@ -48,7 +48,7 @@ def mark_of(record: ShotRecord, *, current: bool) -> ShotMark:
 
 
 def marks_text(record: MissionRecord) -> str:
-    """All shots in the order of their indices, equal neighbours together: `d12 r1 c1 t42`."""
+    """The marks of all shots by index, run-length encoded: `d12 r1 c1 t42`."""
     return _in_runs(mark_of(shot, current=index == record.current) for index, shot in sorted(record.shots.items()))
 
 
@@ -57,7 +57,7 @@ def _in_runs(letters: Iterable[ShotMark]) -> str:
 
 
 class ShotMarks:
-    """The text of the mission that flies, kept up to date by its events: a large one has thousands of shots."""
+    """The text of the running mission, updated incrementally by its events (a mission may have thousands of shots)."""
 
     def __init__(self) -> None:
         self._record: MissionRecord | None = None
@@ -68,7 +68,7 @@ class ShotMarks:
         self._text = ""
 
     def note(self, event: ev.Event) -> None:
-        """Take an event that was announced."""
+        """Take a published event."""
         if isinstance(event, ev.ShotEvent):
             self._touched.add(event.shot)
 
@@ -85,8 +85,8 @@ class ShotMarks:
             return self._text
         self._touched |= {index for index in (self._current, record.current) if index in self._places}
         for index in self._touched & self._places.keys():
-            standing = mark_of(record.shots[index], current=index == record.current)
-            self._letters[self._places[index]] = standing
+            mark = mark_of(record.shots[index], current=index == record.current)
+            self._letters[self._places[index]] = mark
         self._touched.clear()
         self._current = record.current
         self._text = _in_runs(self._letters)
@@ -94,7 +94,7 @@ class ShotMarks:
 
 
 def marks_from_text(text: str, *, count: int) -> list[ShotMark]:
-    """What `marks_text` told of so many shots; empty if it is not that."""
+    """Parse a text of `marks_text` with `count` shots; empty if it is not valid."""
     runs = [_RUN.fullmatch(part) for part in text.split(" ")]
     if any(run is None for run in runs) or sum(int(run[2]) for run in runs if run) != count:
         return []

@@ -1,8 +1,8 @@
-"""Mission states and the one table of legal transitions; drawn and explained in docs/mission.md.
+"""Mission states and the table of legal transitions; drawn and explained in docs/mission.md.
 
-`idle` is a mission that was not started in this process; one that is resumed after a crash or a stop of the process
-starts there again. From every other state the way out is short, and every way out ends with the gimbal released and
-the journal closed.
+`idle` is a mission that was not started in this process; a mission that is resumed after a crash or a stop of the
+process starts there again. Every mission that leaves another state for good has released the gimbal and closed its
+journal.
 """
 
 from __future__ import annotations
@@ -18,38 +18,38 @@ class MissionState(StrEnum):
     """Where a mission is (docs/contract.md, docs/mission.md)."""
 
     IDLE = "idle"
-    """Nothing has begun in this process."""
+    """Not started in this process."""
     PREFLIGHT = "preflight"
-    """Everything is checked, control of the gimbal is taken; nothing has moved."""
+    """Preflight checks run and the gimbal is acquired; nothing has moved."""
     CAPTURING = "capturing"
     """Shots are being taken."""
     PAUSED = "paused"
-    """Paused, for a reason that is stated; also what an interrupted process leaves behind. Can be resumed."""
+    """Paused for a stated reason, also by an interrupted process. Can be resumed."""
     FINISHING = "finishing"
-    """The last evidence is awaited, the panorama as flown is certified."""
+    """The last evidence is awaited and the measured attitudes are certified."""
     COMPLETE = "complete"
     """Every shot was accepted, or the measured attitudes prove the panorama complete without the missing ones."""
     INCOMPLETE = "incomplete"
-    """The mission ended in order with shots missing that the panorama needs."""
+    """The mission ended normally, but shots that the panorama needs are missing."""
     ABORTED = "aborted"
-    """Somebody said stop."""
+    """Ended by an abort command."""
     FAILED = "failed"
-    """The mission could not go on (device, link, battery); it can be resumed when the cause is gone."""
+    """Ended by a fault (device, link, battery); can be resumed when the cause is gone."""
 
 
 _S = MissionState
 
 TRANSITIONS: Mapping[MissionState, frozenset[MissionState]] = MappingProxyType(
     {
-        # the process ends, or the mission is called off, before anything was checked
+        # preflight is the first phase, also of a resumed mission
         _S.IDLE: frozenset({_S.PREFLIGHT}),
-        # paused: asked to, or the process is stopped; finishing: nothing is left to shoot, or asked to
+        # paused: by command, or the process stops; finishing: no shots are left, or by command
         _S.PREFLIGHT: frozenset({_S.CAPTURING, _S.PAUSED, _S.FINISHING, _S.ABORTED, _S.FAILED}),
         _S.CAPTURING: frozenset({_S.PAUSED, _S.FINISHING, _S.ABORTED, _S.FAILED}),
         _S.PAUSED: frozenset({_S.CAPTURING, _S.FINISHING, _S.ABORTED, _S.FAILED}),
-        # capturing: a hole was found, or a repeat was asked for; paused: the process is stopped
+        # capturing: patches or a repeat; paused: the process stops
         _S.FINISHING: frozenset({_S.CAPTURING, _S.PAUSED, _S.COMPLETE, _S.INCOMPLETE, _S.ABORTED, _S.FAILED}),
-        # ended: what comes next is another mission, or this one resumed, and both begin at idle
+        # ended: the next mission, or this one resumed, begins at idle
         _S.COMPLETE: frozenset({_S.IDLE}),
         _S.INCOMPLETE: frozenset({_S.IDLE}),
         _S.ABORTED: frozenset({_S.IDLE}),
@@ -59,21 +59,21 @@ TRANSITIONS: Mapping[MissionState, frozenset[MissionState]] = MappingProxyType(
 """From each state, the states that may follow it."""
 
 ENDED: frozenset[MissionState] = frozenset({_S.COMPLETE, _S.INCOMPLETE, _S.ABORTED, _S.FAILED})
-"""States in which nothing happens any more."""
+"""States in which the mission has ended."""
 
 FINISHED: frozenset[MissionState] = frozenset({_S.COMPLETE, _S.INCOMPLETE, _S.ABORTED})
-"""States of missions that are over for good: they cannot be resumed."""
+"""Ended states from which a mission cannot be resumed."""
 
 
 class IllegalTransitionError(MissionError):
-    """A step that the table does not allow: a fault in panoexec, never a pilot's."""
+    """A transition that the table does not allow: a bug in panoexec, never an operator's error."""
 
 
 def check_transition(old: MissionState, new: MissionState) -> None:
     """Raise unless `new` may follow `old`.
 
     Raises:
-        IllegalTransitionError: it may not; the message names both and what would be legal.
+        IllegalTransitionError: it may not; the message names both states and the legal ones.
     """
     if new not in TRANSITIONS[old]:
         legal = ", ".join(sorted(TRANSITIONS[old]))

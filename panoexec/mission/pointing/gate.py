@@ -1,10 +1,10 @@
-"""The pointing gate: a verdict on poses. Pure logic over readings of the gimbal's attitude (`poses`).
+"""The pointing gate: verdicts on poses. Pure logic over readings of the gimbal's attitude (`poses`).
 
-`SettleTracker` says when a pose has been inside tolerance and still for long enough; `judge_window` checks every
-reading of an exposure afterwards. What a pose error is, is defined in one place, `planning.geometry.pose_error`.
+`SettleTracker` determines when a pose has been inside tolerance and slow for long enough; `judge_window` checks every
+reading of an exposure afterwards. Pose errors are defined in `planning.geometry.pose_error`.
 
-Missing, late, or unusable: each is out of tolerance, with a reason. A reading counts from the moment it arrived, which
-is later than when it was measured by the delay of the link.
+A missing, late or unusable reading counts as out of tolerance, with a reason. A reading counts from its arrival, which
+is later than its measurement by the delay of the link.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from panoexec.planning.model import Tolerance
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """Where a shot must point, in the plan's frame; roll is 0.
+    """The target pose of a shot, in the plan's frame; roll is 0.
 
     Attributes:
         pitch_deg: positive up.
@@ -49,22 +49,22 @@ class SettleLimits:
     Attributes:
         settle_s: how long every sample must have been inside tolerance.
         max_rate_deg_s: largest angular speed.
-        max_gap_s: longest silence between samples that still proves something.
-        told_rates: whether to believe the angular speed that the device tells; else it is taken from the samples, where
-            a camera turns with an airframe whose gyroscopes shake with its motors.
+        max_gap_s: longest gap between samples.
+        use_reported_rate: whether to use the angular speed that the device reports; else it is computed from the
+            attitudes. Without a pan axis the reported one contains the airframe's vibration.
     """
 
     settle_s: float
     max_rate_deg_s: float
     max_gap_s: float
-    told_rates: bool = True
+    use_reported_rate: bool = True
 
 
 class SettleTracker:
-    """Fed with readings in the order they arrive, it says whether the pose is settled now.
+    """Determines from readings, in order of arrival, whether the pose is settled.
 
-    Where the gimbal tells no angular speed, the speed is that from the oldest to the newest reading of the settle
-    time, so that encoder noise does not look like motion.
+    If the gimbal reports no angular speed, it is computed from the oldest to the newest reading of the settle time, so
+    that encoder noise does not look like motion.
     """
 
     def __init__(self, *, target: Target, limits: SettleLimits) -> None:
@@ -75,23 +75,23 @@ class SettleTracker:
         self._newest = math.nan
         self._last: PoseError | None = None
         self._rate = math.nan
-        self._problem: str | None = "no attitude sample arrived"
+        self._problem: str | None = "no attitude sample received"
 
     @property
     def problem(self) -> str:
-        """Why the newest reading is not inside tolerance and still; "" when it is."""
-        if self._problem is None and self._last is not None:  # put into words only when somebody asks
+        """Why the newest reading is not inside tolerance and slow; "" if it is."""
+        if self._problem is None and self._last is not None:  # formatted only when needed
             self._problem = describe_error(self._last, self._target.tolerance)
         return self._problem or ""
 
     @property
     def inside_since_s(self) -> float:
-        """When the unbroken run of good readings began; NaN outside one."""
+        """Start of the current run of good readings; NaN if the newest one is bad."""
         return self._inside_since
 
     @property
     def settled_at_s(self) -> float:
-        """When the settle time is over if nothing changes; NaN while the newest reading is bad."""
+        """End of the settle time if all further readings are good; NaN if the newest one is bad."""
         return self._inside_since + self._limits.settle_s
 
     def is_settled(self, now_s: float) -> bool:
@@ -104,7 +104,7 @@ class SettleTracker:
         return self._last
 
     def add(self, *readings: Reading) -> None:
-        """Take the next readings; many at once cost little more than one."""
+        """Take the next readings; a batch costs little more than a single one."""
         usable = [reading.rotation for reading in readings if reading.rotation is not None]
         errors = pose_error(self._target.pitch_deg, self._target.yaw_deg, np.stack(usable)) if usable else None
         inside = iter([] if errors is None else errors.within(self._target.tolerance).tolist())
@@ -130,11 +130,11 @@ class SettleTracker:
             self._inside.popleft()
 
     def is_stale(self, now_s: float) -> bool:
-        """Whether the newest reading is too old to say where the gimbal is at `now_s`."""
+        """Whether the newest reading is too old to be valid at `now_s`."""
         return not now_s - self._newest <= self._limits.max_gap_s
 
     def _judge(self, reading: Reading, *, inside: bool) -> str | None:
-        """What is wrong with a reading: "" nothing, None that it is out of tolerance."""
+        """The problem of a reading: "" if it is good, None if it is out of tolerance."""
         if reading.rotation is None:
             return reading.problem
         if not inside:
@@ -145,7 +145,7 @@ class SettleTracker:
         return ""
 
     def _rate_deg_s(self, reading: Reading) -> float:
-        if self._limits.told_rates and not math.isnan(reading.rate_deg_s):
+        if self._limits.use_reported_rate and not math.isnan(reading.rate_deg_s):
             return reading.rate_deg_s
         oldest = self._inside[0] if self._inside else None
         if oldest is None or oldest.rotation is None or reading.rotation is None:
@@ -164,13 +164,13 @@ class WindowVerdict:
     """The verdict on an exposure.
 
     Attributes:
-        ok: every moment of the window is proven inside tolerance.
+        ok: the whole window is verified to be inside tolerance.
         reason: why not, with figures; "" when ok.
-        code: `pointing` (out of tolerance) or `no_samples` (not proven); "" when ok.
-        samples: how many were judged.
+        code: `pointing` (out of tolerance) or `no_samples` (not verified); "" when ok.
+        samples: number of samples judged.
         measured: mean attitude of the usable samples; None without one.
-        errors: the worst of each error over the usable samples; None likewise.
-        spread_deg: the largest boresight angle between a usable sample and the first: how far it moved.
+        errors: the largest of each error over the usable samples; None without one.
+        spread_deg: the largest boresight angle between a usable sample and the first.
     """
 
     ok: bool
@@ -187,16 +187,15 @@ def judge_window(
 ) -> WindowVerdict:
     """Judge every reading of an exposure.
 
-    The window is proven when a reading lies close before its start, none is out of tolerance, and no part of the
-    window longer than `max_gap_s` is without one: what needs longer than that to leave the tolerance and to come back
-    has been seen.
+    The window is verified when a reading lies at most `max_gap_s` before its start, no reading is out of tolerance, and
+    no gap between readings exceeds `max_gap_s`: a deviation that lasts longer than that is detected.
 
     Args:
         readings: oldest first; those well before or after the window are ignored.
-        target: the pose asked for.
-        start_s: the earliest moment the shutter may have opened.
-        end_s: the latest moment it may have closed.
-        max_gap_s: longest silence that still proves something.
+        target: the commanded pose.
+        start_s: earliest possible opening of the shutter.
+        end_s: latest possible closing of the shutter.
+        max_gap_s: longest gap between readings.
     """
     ordered = list(readings)
     before = [r for r in ordered if start_s - max_gap_s <= r.time_s <= start_s][-1:]

@@ -1,8 +1,8 @@
-"""What a gimbal reports, made comparable: attitudes in the plan's frame, or the reason why there is none.
+"""The gimbal's attitude samples converted to the plan's frame, or the reason why a sample is unusable.
 
-A sample says where the camera looks relative to the earth, to the vehicle's heading or to its airframe; `read_pose`
-composes it with the vehicle's attitude of the same moment and turns it into the plan's frame (yaw 0 = the plan's
-reference). Missing, not finite, flagged by the device, or frozen: each is a problem, with words for it.
+A sample is relative to the earth, to the vehicle's heading or to its airframe; `read_pose` composes it with the
+vehicle's attitude of the same time and converts it to the plan's frame (yaw 0 = the plan's reference). A sample that
+cannot be composed, is not finite, is flagged by the device or is frozen is unusable, and its reading says why.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ GIMBAL_FAILURES: dict[int, str] = {
     128: "communication error",
     256: "calibration running",
 }
-"""GIMBAL_DEVICE_ERROR_FLAGS that make a pose untrustworthy; the others (at a limit, no manager) do not."""
+"""GIMBAL_DEVICE_ERROR_FLAGS that make a pose unusable; the others (at a limit, no manager) do not."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """A sample made comparable: a rotation in the plan's frame, or the reason why there is none.
+    """A sample converted to the plan's frame, or the reason why it is unusable.
 
     Attributes:
         time_s: when it arrived.
         rotation: camera to plan frame (3, 3), None with a problem.
-        rate_deg_s: angular speed, NaN if not told.
-        problem: why it cannot be used, "" if it can.
+        rate_deg_s: angular speed, NaN if not reported.
+        problem: why the sample is unusable, "" if it is usable.
     """
 
     time_s: float
@@ -52,7 +52,7 @@ class Reading:
 
 
 def heading_deg(vehicle: VehicleAttitude) -> float:
-    """Heading of the airframe's nose, clockwise from north: the yaw of the 3-2-1 angles, as autopilots state it."""
+    """Heading of the airframe, clockwise from north: the yaw of the 3-2-1 angles, as autopilots report it."""
     w, x, y, z = vehicle.q_wxyz
     return math.degrees(math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
 
@@ -62,20 +62,20 @@ def read_pose(sample: AttitudeSample, vehicle: VehicleAttitude | None, reference
 
     Args:
         sample: as the gimbal reports it.
-        vehicle: the airframe's attitude at that moment, needed unless the sample is earth-fixed.
+        vehicle: the airframe's attitude at that time, required unless the sample is earth-fixed.
         reference_yaw_north_deg: direction of the plan's yaw 0, clockwise from true north.
 
     Returns:
         A reading; with a problem when the sample is not finite, flagged, or cannot be composed.
     """
-    problem = _device_problem(sample) or ("" if _is_attitude(sample.q_wxyz) else _NO_NUMBER.format("gimbal"))
+    problem = _device_problem(sample) or ("" if _is_attitude(sample.q_wxyz) else _NOT_FINITE.format("gimbal"))
     turn_deg = -reference_yaw_north_deg
     q = sample.q_wxyz
     if not problem and sample.yaw_frame is not YawFrame.EARTH:
         if vehicle is None:
-            problem = "no attitude of the vehicle to compose the gimbal's with"
+            problem = "no vehicle attitude at the time of the gimbal's sample"
         elif not _is_attitude(vehicle.q_wxyz):
-            problem = _NO_NUMBER.format("vehicle")
+            problem = _NOT_FINITE.format("vehicle")
         elif sample.yaw_frame is YawFrame.BODY:
             q = _product(vehicle.q_wxyz, q)
         else:
@@ -88,7 +88,7 @@ def read_pose(sample: AttitudeSample, vehicle: VehicleAttitude | None, reference
     )
 
 
-_NO_NUMBER = "the {} reports an attitude that is not a number"
+_NOT_FINITE = "the {} reports a non-finite attitude"
 
 
 def _is_attitude(q: Quaternion) -> bool:
@@ -97,8 +97,8 @@ def _is_attitude(q: Quaternion) -> bool:
     return 1e-18 < norm < math.inf
 
 
-# With plain floats, as this is done for every sample at 50 Hz: a tenth of the time of the array functions, which the
-# tests hold it to.
+# Plain floats, because this runs for every sample at 50 Hz: they take a tenth of the time of the array functions, which
+# a test checks.
 
 
 def _product(a: Quaternion, b: Quaternion) -> Quaternion:
@@ -127,11 +127,11 @@ def _matrix(q: Quaternion) -> FloatArray:
 
 
 class PoseReader:
-    """Turns the samples of one feed into readings, and notices when the device repeats itself.
+    """Converts the samples of one feed to readings, and detects a frozen device.
 
-    A gimbal that measures never reports the same numbers twice, but for one that is quantised or only echoes what was
-    demanded. So once `LEARN_PAIRS` pairs of neighbours have shown that this one does not repeat itself, `FROZEN_RUN`
-    equal samples in a row are no measurement, however fresh their time stamps.
+    A gimbal that measures never reports equal samples in succession, unless its output is quantised or echoes the
+    setpoint. So once `LEARN_PAIRS` successive pairs have shown that this gimbal does not repeat itself, `FROZEN_RUN`
+    equal samples in a row count as frozen, even with new time stamps.
 
     Args:
         feed: the gimbal's reports.
@@ -155,7 +155,7 @@ class PoseReader:
 
     @property
     def measures(self) -> bool:
-        """Whether the device is known to report measurements, which never repeat."""
+        """Whether the device is known not to repeat samples."""
         return self._pairs >= self.LEARN_PAIRS and self._repeats <= self.REPEATS_FRAC * self._pairs
 
     def since(self, since_s: float) -> list[Reading]:
@@ -169,9 +169,9 @@ class PoseReader:
             newer.append(reading)
         return newer[::-1]
 
-    def _read_on(self, since_s: float) -> None:
-        # what nobody asks for is not composed; but the run of equal samples is followed from a little before
-        # and samples may share a stamp, so it is by the sample itself that one knows where one was
+    def _read_new(self, since_s: float) -> None:
+        # samples long before `since_s` are not composed; a second earlier is read to detect runs of equal samples.
+        # Samples may share a time stamp, so the position is found by the identity of the newest sample
         samples = list(self._feed.since(max(self._newest_s, since_s - 1.0) - 1e-9))
         known = next((i for i, sample in enumerate(samples) if sample is self._newest), -1)
         for sample in samples[known + 1 :]:
@@ -186,7 +186,7 @@ class PoseReader:
         measured_before = self.measures
         if self._last is not None:
             self._run = self._run + 1 if q == self._last else 1
-            # a run that is known for frozen must not teach that repeating is normal
+            # a run that is known to be frozen must not count as normal repetition
             if not (measured_before and self._run >= self.FROZEN_RUN):
                 self._pairs += 1
                 self._repeats += q == self._last
@@ -194,7 +194,7 @@ class PoseReader:
         if not (measured_before and self._run >= self.FROZEN_RUN):
             return reading
         return Reading(
-            reading.time_s, None, reading.rate_deg_s, "the gimbal repeats one attitude over and over: frozen"
+            reading.time_s, None, reading.rate_deg_s, "the gimbal's attitude is frozen: it repeats one value"
         )
 
 
@@ -209,7 +209,7 @@ def _device_problem(sample: AttitudeSample) -> str:
 
 
 def mean_pose(rotations: FloatArray) -> MeasuredPose:
-    """The mean of attitudes (n, 3, 3) that lie close together (sum of quaternions of one sign, normalised)."""
+    """The mean of attitudes (n, 3, 3) that are close together (sum of sign-aligned quaternions, normalised)."""
     q = quaternion_from_rotation(rotations)
     q = np.where((q @ q[0])[:, None] < 0, -q, q).sum(axis=0)
     return pose_of(rotation_from_quaternion(q))
@@ -223,5 +223,5 @@ def pose_of(matrix: FloatArray) -> MeasuredPose:
 
 
 def to_north(yaw_deg: float, reference_yaw_north_deg: float) -> float:
-    """A yaw of the plan's frame as yaw from true north, [-180, 180)."""
+    """Convert a yaw of the plan's frame to yaw from true north, [-180, 180)."""
     return float(wrap_180(yaw_deg + reference_yaw_north_deg))

@@ -1,4 +1,4 @@
-/* Pointing errors, where the time went, the battery: drawn as SVG at the width they have. */
+/* SVG charts of the available width: pointing errors, time by phase, battery. */
 "use strict";
 const AXES = ["pitch", "roll", "yaw"];
 
@@ -60,7 +60,7 @@ function drawTotals(holder) {
   const { totals_s: totals, duration_s: duration, limit_s: limit } = data.timeline;
   responsive(holder, (width) => {
     const left = width < 560 ? 84 : 120, right = 62, scale = (width - left - right) / Math.max(duration, limit || 0, 1e-9);
-    const root = svg("svg", { viewBox: `0 0 ${width} 76`, height: 76, role: "img", "aria-label": "Time by phase beside the physical limit" });
+    const root = svg("svg", { viewBox: `0 0 ${width} 76`, height: 76, role: "img", "aria-label": "Time by phase and physical limit" });
     let x = left;
     for (const name of ["slew", "settle", "wait", "expose", "paused"]) {
       const w = (totals[name] || 0) * scale, text = `${name}: ${seconds(totals[name])}`;
@@ -115,7 +115,7 @@ function drawTimeline(holder) {
       const text = [attemptText(item), ...PHASES.map(([name, word]) => {
         const spent = name === "after" ? t.after - t.paused : t[name];
         return spent > 0.005 ? `${word} ${seconds(spent)}` : null;
-      }), t.limit > 0 ? `physical limit ${seconds(t.limit)}` : "a retake: not in the limit"];
+      }), t.limit > 0 ? `physical limit ${seconds(t.limit)}` : "a retake: not part of the physical limit"];
       root.append(reacts(group, item, text.filter(Boolean).join("\n")));
     });
     root.append(svg("line", { class: "axis", x1: left, x2: width - right, y1: base, y2: base }));

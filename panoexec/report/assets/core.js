@@ -1,4 +1,4 @@
-/* What the page's scripts share: the data, elements made of text only, numbers as people read them, rotations. */
+/* Shared code of the page's scripts: data, DOM elements with text only, number formats, rotations. */
 "use strict";
 const errors = [];
 window.addEventListener("error", (event) => {
@@ -41,7 +41,7 @@ const isNumber = (value) => typeof value === "number" && Number.isFinite(value);
 const minus = (text) => text.replace("-", "\u2212");
 const degrees = (value, digits = 2) => (isNumber(value) ? minus((Math.round(value * 10 ** digits) / 10 ** digits + 0).toFixed(digits)) + "°" : "–");
 const signed = (value, digits = 3) => (isNumber(value) ? (value < 0 ? "\u2212" : "+") + Math.abs(value).toFixed(digits) + "°" : "–");
-/* Never 100 % by rounding. */
+/* Values below 1 are never rounded to 100 %. */
 function percent(fraction, digits = 1) {
   if (!isNumber(fraction)) return "–";
   let shown = digits;
@@ -81,7 +81,7 @@ const elevationOf = (d) => Math.atan2(-d[2], Math.hypot(d[0], d[1])) / RAD;
 const azimuthOf = (d) => Math.atan2(d[1], d[0]) / RAD;
 const wrap = (angle) => ((angle + 180) % 360 + 360) % 360 - 180;
 
-/* --- the shots, with what drawing them needs */
+/* --- the shots, with data for drawing */
 const shots = data.shots.map((shot) => {
   const taken = shot.attempts.find((attempt) => attempt.n === shot.accepted) || null;
   const m = matrix((taken && taken.q) || shot.q);
@@ -102,7 +102,7 @@ const shots = data.shots.map((shot) => {
   return { ...shot, taken, m, outline, boresight, kind };
 });
 const byIndex = new Map(shots.map((shot) => [shot.i, shot]));
-/* How deep inside a footprint a direction is, 0 at its border and 1 at its middle; negative outside. */
+/* Position of a direction in a footprint: 0 at its border, 1 at its centre, negative outside. */
 function depth(shot, d) {
   const m = shot.m, { half_width: w, half_height: h } = data.camera;
   const x = m[0][0] * d[0] + m[1][0] * d[1] + m[2][0] * d[2];
@@ -114,7 +114,7 @@ const attempts = shots
   .flatMap((shot) => shot.attempts.map((attempt) => ({ ...attempt, shot })))
   .sort((a, b) => (a.times ? a.times.start : Infinity) - (b.times ? b.times.start : Infinity) || a.shot.i - b.shot.i || a.n - b.n);
 
-/* --- one shot is chosen at a time; everything that draws it listens */
+/* --- the selected shot (one at a time) and its listeners */
 const chosen = { shot: null, pinned: false, listeners: [] };
 function choose(shot, { pin = false, show = false } = {}) {
   if (chosen.pinned && !pin) return;
@@ -135,7 +135,7 @@ function showTip(event, text) {
   tip.style.top = `${Math.max(6, y)}px`;
 }
 const hideTip = () => { tip.hidden = true; };
-/* Draws now and whenever its width or the colour scheme changes. */
+/* Draws now and after each change of width or colour scheme. */
 function responsive(node, draw) {
   let width = 0;
   const again = () => { if (node.clientWidth && node.clientWidth !== width) { width = node.clientWidth; draw(width); } };

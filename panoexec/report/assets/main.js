@@ -1,4 +1,4 @@
-/* Puts the page together. */
+/* Builds the page. */
 "use strict";
 const { mission, counts, certificate, timeline, photos, stitch } = data;
 const STATES = { complete: "good", incomplete: "warn", paused: "warn", aborted: "bad", failed: "bad" };
@@ -32,17 +32,17 @@ function tiles() {
   const ratio = isNumber(timeline.limit_s) && timeline.limit_s > 0 ? timeline.duration_s / timeline.limit_s : null;
   document.getElementById("tiles").append(
     tile("shots", [String(counts.shots_done), el("small", {}, ` of ${counts.shots_total}`)], done ? "all accepted" : `${counts.shots_total - counts.shots_done} missing`, done ? "good" : "bad"),
-    tile("coverage", percent(whole, 2), certificate ? (certificate.certified ? "proven as flown" : "not certified") : "not certified: the mission did not end", certificate ? (whole === 1 ? "good" : "bad") : ""),
-    tile("retakes", String(counts.retakes), rejected ? `${plural(rejected, "attempt")} rejected` : "every first attempt was good"),
+    tile("coverage", percent(whole, 2), certificate ? (certificate.certified ? "certified as flown" : "not certified") : "not certified: the mission has not ended", certificate ? (whole === 1 ? "good" : "bad") : ""),
+    tile("retakes", String(counts.retakes), rejected ? `${plural(rejected, "attempt")} rejected` : "every first attempt was accepted"),
     tile("worst accepted error", worst ? `${Math.round(100 * worst.share)} %` : "–", worst ? `of τ: ${worst.axis} ${signed(worst.value)}` : "no measured attitude", worst && worst.share > 1 ? "warn" : ""),
-    tile("shooting time", seconds(timeline.duration_s), ratio ? `${ratio.toFixed(2)} × the physical limit` : "limit not known"),
+    tile("shooting time", seconds(timeline.duration_s), ratio ? `${ratio.toFixed(2)} × the physical limit` : "physical limit unknown"),
     tile("battery", percent(last, 0), samples.length > 1 ? `from ${percent(samples[0][1], 0)}` : "no history"),
   );
 }
 
 function shotCard(shot) {
   if (!shot) {
-    return [el("h3", {}, "Footprints"), el("p", {}, shots.length ? "Point at a footprint to see its figures; click to keep it. Drag to turn; arrow keys turn, + and − zoom." : "The mission has no shots."), el("div", { class: "steps" }, stepButtons(null))];
+    return [el("h3", {}, "Footprints"), el("p", {}, shots.length ? "Hover over a footprint to see its data; click to select it. Drag or use the arrow keys to rotate, + and − to zoom." : "The mission has no shots."), el("div", { class: "steps" }, stepButtons(null))];
   }
   const [pitch, yaw] = shot.target, taken = shot.taken, north = mission.reference.yaw_north_deg || 0;
   const kinds = { accepted: "good", missed: "bad", skipped: "warn" };
@@ -81,14 +81,14 @@ function sphere() {
   const canvas = el("canvas", { id: "ball", tabindex: 0, role: "img", "aria-label": "Map of the sphere with the footprint of every shot; arrow keys turn it" });
   const details = el("div", { class: "shot-card", "aria-live": "polite" });
   const toolbar = el("div", { class: "toolbar" }), legend = el("div", { class: "legend" });
-  card("sphere", "Sphere map", "Every footprint as it was measured. The ball is seen from where the drone was, so pictures are the right way round.",
+  card("sphere", "Sphere map", "The footprints at the measured attitudes. The sphere is seen from inside, so photos are not mirrored.",
     toolbar, el("div", { class: "globe" }, el("div", {}, canvas, legend), details));
   const map = new SphereMap(canvas);
   const entry = (text, name, stroke) => el("span", { class: stroke ? "stroke" : "", style: { "--swatch": `var(--${name})` } }, text);
   const relabel = () => {
     const kinds = new Set(shots.map((shot) => shot.kind)), gap = certificate ? certificate.uncovered_fraction > 0 : true;
     legend.replaceChildren(...[
-      ...(map.paint === "coverage" ? [1, 2, 3].map((k) => entry(plural(k, "image"), `c${k}`)).concat(entry("4 or more", "c4"), gap ? entry("gap", "c0") : null, entry("not asked for", "outside")) : []),
+      ...(map.paint === "coverage" ? [1, 2, 3].map((k) => entry(plural(k, "image"), `c${k}`)).concat(entry("4 or more", "c4"), gap ? entry("gap", "c0") : null, entry("outside the band", "outside")) : []),
       kinds.has("retaken") ? entry("accepted after a retake", "warn", true) : null, kinds.has("patch") ? entry("patch shot", "patch", true) : null,
       kinds.has("missing") ? entry("missing", "bad", true) : null,
     ].filter(Boolean));
@@ -101,7 +101,7 @@ function sphere() {
   };
   const refill = () => {
     toolbar.replaceChildren(
-      choice("view", [["ball", "Ball"], ["map", "Flat map"]], (value) => map.show(value)),
+      choice("view", [["ball", "Sphere"], ["map", "Flat map"]], (value) => map.show(value)),
       map.textures.photos ? choice("paint", [["photos", "Photos"], ["coverage", "Coverage"]], (value) => { map.paint = value; map.ask(); }) : "",
       el("span", { class: "toggle" }, el("button", { "aria-label": "zoom out", onclick: () => map.zoomBy(1 / 1.3) }, "−"), el("button", { "aria-label": "zoom in", onclick: () => map.zoomBy(1.3) }, "+")),
     );
@@ -114,26 +114,26 @@ function sphere() {
 
 function proof() {
   if (!certificate) {
-    card("certificate", "Certificate", "The panorama as flown was not certified: the mission did not come that far.");
+    card("certificate", "Certificate", "The panorama as flown was not certified: the mission ended before.");
     return;
   }
   const check = (ok, text, more) => el("div", { class: "check" }, el("b", { class: ok ? "good-text" : "bad-text" }, ok ? "✓" : "✗"), el("span", {}, text, more ? el("small", {}, more) : null));
   const overlap = (value, asked) => asked === undefined || value >= asked || certificate.certified;
   const [h, v] = data.band.overlap || [undefined, undefined];
-  card("certificate", "Certificate of the panorama as flown", "Computed from the measured attitudes, exactly, not by sampling.",
+  card("certificate", "Certificate of the panorama as flown", "Computed exactly from the measured attitudes, without sampling.",
     el("p", {}, pill(certificate.certified ? "certified" : "not certified", certificate.certified ? "good" : "bad"), ` ${plural(certificate.images, "image")}`),
-    check(certificate.uncovered_fraction === 0, certificate.uncovered_fraction === 0 ? "Every direction asked for is in a photo" : `${percent(1 - certificate.uncovered_fraction, 3)} of the band is covered`, certificate.holes.length ? `${plural(certificate.holes.length, "hole")}, the largest ${degrees(certificate.holes[0].size_deg)} across` : null),
-    isNumber(certificate.min_overlap_h) && check(overlap(certificate.min_overlap_h, h), `Neighbours in a row overlap by ${percent(certificate.min_overlap_h)} at least`, h === undefined ? null : `asked for: ${percent(h)}`),
-    isNumber(certificate.min_overlap_v) && check(overlap(certificate.min_overlap_v, v), `Rows overlap by ${percent(certificate.min_overlap_v)} at least`, v === undefined ? null : `asked for: ${percent(v)}`),
-    check(certificate.connected, certificate.connected ? "All images hang together" : "The images fall apart into groups"),
-    check(certificate.two_edge_connected, certificate.two_edge_connected ? "and still do when any one tie fails" : `${plural(certificate.bridges.length, "tie")} would disconnect the panorama`),
+    check(certificate.uncovered_fraction === 0, certificate.uncovered_fraction === 0 ? "Every direction of the band is covered" : `${percent(1 - certificate.uncovered_fraction, 3)} of the band is covered`, certificate.holes.length ? `${plural(certificate.holes.length, "hole")}, the largest ${degrees(certificate.holes[0].size_deg)} across` : null),
+    isNumber(certificate.min_overlap_h) && check(overlap(certificate.min_overlap_h, h), `Horizontal overlap is at least ${percent(certificate.min_overlap_h)}`, h === undefined ? null : `required: ${percent(h)}`),
+    isNumber(certificate.min_overlap_v) && check(overlap(certificate.min_overlap_v, v), `Vertical overlap is at least ${percent(certificate.min_overlap_v)}`, v === undefined ? null : `required: ${percent(v)}`),
+    check(certificate.connected, certificate.connected ? "The overlap graph is connected" : "The overlap graph is not connected"),
+    check(certificate.two_edge_connected, certificate.two_edge_connected ? "It stays connected without any single overlap" : `${plural(certificate.bridges.length, "overlap")} would disconnect the graph if lost`),
     certificate.failures.length ? el("ul", { class: "texts" }, certificate.failures.map((text) => el("li", {}, text))) : null);
 }
 
 function retakes() {
   const bad = attempts.filter((item) => item.verdict === "rejected" || item.verdict === "interrupted");
   if (!bad.length) {
-    card("retakes", "Retakes", counts.attempts ? "None: every attempt was accepted." : "No shot was tried.");
+    card("retakes", "Retakes", counts.attempts ? "None: every attempt was accepted." : "There were no attempts.");
     return;
   }
   card("retakes", "Retakes and their reasons", `${plural(counts.attempts, "attempt")} at ${plural(counts.shots_total, "shot")}.`,
@@ -144,11 +144,11 @@ function retakes() {
 
 function photoProblems() {
   const texts = [...data.notes];
-  if (data.panorama.left_out && data.panorama.left_out.length) texts.push(`left out of the quick look: ${data.panorama.left_out.join(", ")}`);
+  if (data.panorama.left_out && data.panorama.left_out.length) texts.push(`not in the quick look: ${data.panorama.left_out.join(", ")}`);
   if (!photos.problems.length && !texts.length && data.panorama.kind) return;
-  card("photos", "Photos", `${photos.usable} of ${photos.accepted} accepted photos are in the mission's directory and whole.`,
+  card("photos", "Photos", `${photos.usable} of ${photos.accepted} accepted photos are in the mission's directory and complete.`,
     photos.problems.length ? el("div", { class: "scroll" }, el("table", {}, el("tbody", {}, photos.problems.map((p) => el("tr", {}, el("th", {}, `shot ${p.shot}`), el("td", {}, `${p.name || "photo"} ${p.problem}`)))))) : null,
-    data.panorama.kind ? null : el("p", { class: "lead" }, `No picture of the sphere: ${data.panorama.why}.`),
+    data.panorama.kind ? null : el("p", { class: "lead" }, `No panorama: ${data.panorama.why}.`),
     texts.length ? el("ul", { class: "texts" }, texts.map((text) => el("li", {}, text))) : null);
 }
 
@@ -156,8 +156,8 @@ function stitching() {
   if (!stitch) return;
   const c = stitch.completeness, untied = stitch.untied || [];
   card("stitching", "Stitching", null, facts([
-    ["completeness", `${percent(c.fraction, 2)} of the ground (equation 8)`], ["photos", `${stitch.images} stitched, ${untied.length} not tied`],
-    ["not tied", untied.join(", ")], ["alignment", `${stitch.points} points, ${isNumber(stitch.rms_px) ? stitch.rms_px.toFixed(2) : "–"} px rms`],
+    ["completeness", `${percent(c.fraction, 2)} of the ground (equation 8)`], ["photos", `${stitch.images} stitched, ${untied.length} without control points`],
+    ["without control points", untied.join(", ")], ["alignment", `${stitch.points} points, ${isNumber(stitch.rms_px) ? stitch.rms_px.toFixed(2) : "–"} px rms`],
     ["panorama", stitch.canvas_px ? `${stitch.canvas_px[0]} × ${stitch.canvas_px[1]} px` : null],
     ["time", Object.entries(stitch.seconds || {}).map(([step, s]) => `${step} ${seconds(s)}`).join(", ")],
   ]));
@@ -168,7 +168,7 @@ function batteryAndFacts() {
   if (data.battery.samples.length) {
     card("battery", "Battery", null, holder);
     drawBattery(holder);
-  } else card("battery", "Battery", "The vehicle did not say.");
+  } else card("battery", "Battery", "The vehicle reported no charge.");
   const { hfov_deg: h, vfov_deg: v, image_px: px } = data.camera, tau = data.tolerance_deg;
   card("facts", "Mission", null, facts([
     ["started", when(mission.times.started)], ["finished", when(mission.times.finished)], ["duration", timeline.lived_s === null ? null : seconds(timeline.lived_s)],
@@ -179,7 +179,7 @@ function batteryAndFacts() {
     ["yaw 0", mission.reference.kind === "heading" ? `the heading at the start, ${degrees(mission.reference.yaw_north_deg, 1)} from north` : "true north"],
     ...Object.entries(mission.vehicle).map(([key, value]) => [key.replaceAll("_", " "), String(value)]),
   ]), mission.warnings.length ? el("ul", { class: "texts" }, mission.warnings.map((text) => el("li", {}, text))) : null,
-  mission.open_loop ? el("p", { class: "lead" }, "Flown without attitude feedback: poses are believed, not measured.") : null);
+  mission.open_loop ? el("p", { class: "lead" }, "Flown without attitude feedback: poses are assumed, not measured.") : null);
 }
 
 function main() {
@@ -195,17 +195,17 @@ function main() {
   const legend = (entries) => el("div", { class: "legend" }, entries.map(([text, name]) => el("span", { style: { "--swatch": `var(--${name})` } }, text)));
   const points = el("div", {});
   if (attempts.some((item) => item.error)) {
-    card("pointing", "Pointing error of every attempt", "The worst of each exposure, measured minus target. The green band is the tolerance τ; open red marks are rejected attempts, triangles lie beyond the scale.", points);
+    card("pointing", "Pointing error of every attempt", "The largest error of each exposure, measured minus target. The green band is the tolerance τ; open red marks are rejected attempts, triangles are beyond the scale.", points);
     drawPointing(points);
   } else card("pointing", "Pointing error of every attempt", "No attempt has a measured attitude.");
   const totals = el("div", {}), columns = el("div", {});
   if (attempts.some((item) => item.times)) {
-    card("timeline", "Where the time went", "Each column is one attempt; the line across is the least time that gimbal, settle time, exposure and camera interval allow. Red dots are rejected attempts.", totals,
+    card("timeline", "Time by phase", "Each column is one attempt; the horizontal line is its physical limit: the least time that gimbal, settle time, exposure and camera interval allow. Red dots are rejected attempts.", totals,
       legend([["slew", "slew"], ["settle", "settle"], ["expose", "expose"], ["wait", "wait"], ...(timeline.totals_s.paused ? [["paused", "paused"]] : [])]), columns,
-      el("p", { class: "lead", style: { margin: "8px 0 0" } }, "Measured: start, settled, end of the exposure. The slew is counted as the least time it can take, the rest before the trigger as settling, or as waiting where the camera's interval was the last to end." + (Math.abs(timeline.pace - 1) > 0.05 ? ` Simulated seconds, flown ${timeline.pace.toFixed(1)} times as fast.` : "")));
+      el("p", { class: "lead", style: { margin: "8px 0 0" } }, "Measured: start, settled, end of the exposure. The slew is computed as the least possible time; the rest before the trigger counts as settling, or as waiting if the camera's interval ended last." + (Math.abs(timeline.pace - 1) > 0.05 ? ` Simulated time, ${timeline.pace.toFixed(1)} times faster than real time.` : "")));
     drawTotals(totals);
     drawTimeline(columns);
-  } else card("timeline", "Where the time went", "No attempt has begun.");
+  } else card("timeline", "Time by phase", "No attempt has begun.");
   proof();
   retakes();
   photoProblems();

@@ -1,4 +1,4 @@
-/* The sphere map: footprints on a ball that is looked into (pictures are not mirrored) or on a flat map. */
+/* The sphere map: footprints on a sphere seen from inside (photos are not mirrored) or on a flat map. */
 "use strict";
 const MAP_WIDTH = 720;
 
@@ -38,7 +38,7 @@ function coverageTexture(counts) {
       const k = row * width + column, count = Math.min(counts[k], 4);
       const asked = inBand(elevation, ((column + 0.5) / width) * 360 - 180);
       const paint = asked || count ? colours[count] : outside;
-      // beyond what was asked for, what was seen is paler
+      // outside the requested band, covered areas are paler
       for (let c = 0; c < 3; c += 1) pixels[4 * k + c] = asked ? paint[c] : (paint[c] + outside[c]) / 2;
       pixels[4 * k + 3] = 255;
     }
@@ -107,7 +107,7 @@ class SphereMap {
     const cy = Math.cos(this.yaw * RAD), sy = Math.sin(this.yaw * RAD), cp = Math.cos(this.pitch * RAD), sp = Math.sin(this.pitch * RAD);
     return { ahead: [cp * cy, cp * sy, -sp], right: [-sy, cy, 0], down: [sp * cy, sp * sy, cp] };
   }
-  /* Where a direction is on the canvas; null where it is not to be seen. */
+  /* The canvas position of a direction; null if it is not visible. */
   place(d, basis) {
     if (this.view === "map") {
       return [this.width / 2 + (wrap(azimuthOf(d) - this.yaw) / 360) * this.width, (this.height / 180) * (90 - elevationOf(d))];
@@ -249,7 +249,7 @@ class SphereMap {
     const c = this.context;
     for (const hole of (data.certificate && data.certificate.holes) || []) {
       const p = this.place(direction(hole.elevation_deg, hole.azimuth_deg), basis);
-      // large ones are seen as they are; a small one needs a mark
+      // large holes are visible themselves; a small one gets a mark
       if (!p || hole.size_deg > 12) continue;
       const size = Math.max(7, (hole.size_deg / 2) * RAD * this.radius);
       c.strokeStyle = colour("c0"); c.lineWidth = 2.5;

@@ -1,7 +1,7 @@
-/* The panorama in a viewer, with a spot for each photo that opens the original beside this page. */
+/* The panorama viewer, with a hot spot for each photo that opens the original next to this page. */
 "use strict";
-/* More spots than this make a browser slow; the sphere map leads to every photo. */
-const MOST_SPOTS = 800;
+/* More hot spots than this make a browser slow; the sphere map links to every photo. */
+const MAX_SPOTS = 800;
 
 function panoramaImage() {
   const block = document.getElementById("panorama-jpeg");
@@ -17,17 +17,17 @@ function showPanorama(source) {
   const stitched = data.panorama.kind === "stitched", holder = el("div", { id: "viewer" });
   const linked = shots.filter((shot) => shot.taken && shot.photo && shot.photo.href);
   const lead = (stitched
-    ? "Stitched from the originals."
-    : "A quick look: the photos where their measured attitudes put them, not stitched yet (panoexec stitch does that).")
-    + (linked.length > MOST_SPOTS ? " Drag to look around; the sphere map below leads to each photo." : " Drag to look around; a spot opens its photo.");
-  const section = card("panorama", stitched ? "Panorama" : "Panorama, a quick look", lead, holder);
+    ? "Stitched from the photos."
+    : "A quick look: the photos projected by their measured attitudes, not stitched (see panoexec stitch).")
+    + (linked.length > MAX_SPOTS ? " Drag to look around; the sphere map below links to each photo." : " Drag to look around; click a spot to open its photo.");
+  const section = card("panorama", stitched ? "Panorama" : "Panorama (quick look)", lead, holder);
   const flat = () => {
     section.classList.add("viewer-off");
-    holder.replaceChildren(el("img", { src: source, alt: "The panorama as a flat map of the whole sphere" }));
+    holder.replaceChildren(el("img", { src: source, alt: "The panorama in equirectangular projection" }));
   };
   if (!hasWebgl() || !window.pannellum) { flat(); return; }
   const first = shots.find((shot) => shot.taken), [low, high] = data.band.elevation;
-  const spots = (linked.length > MOST_SPOTS ? [] : linked).map((shot) => ({
+  const spots = (linked.length > MAX_SPOTS ? [] : linked).map((shot) => ({
     pitch: elevationOf(shot.boresight),
     yaw: azimuthOf(shot.boresight),
     text: `shot ${shot.i}: ${shot.photo.name}`,

@@ -29,7 +29,7 @@ def test_an_error_of_ours_ends_the_mission_and_not_the_daemon(tmp_path: Path) ->
             await missions._flown(stored, devices, "north")
             assert missions.record is not None
             assert missions.record.state is MissionState.FAILED  # so that it does not go on by itself into the same
-            assert "an error of its own" in missions.record.reason
+            assert "internal error" in missions.record.reason
             assert not world.gimbal.in_control
             assert missions.trouble == "ZeroDivisionError: a fault of ours"
             assert missions.mission is None

@@ -93,14 +93,14 @@ def test_what_is_wrong_is_refused_by_the_name_of_its_field(fields: dict[str, Any
 def test_a_vehicle_that_pans_ignores_what_the_gimbal_states_of_its_pan_axis_but_not_of_its_pitch() -> None:
     limits = configured_gimbal(config(yaw="vehicle", yaw_deg=[-160, 160], pitch_deg=[-90, 20]))
     own = GimbalLimits(pitch_min_deg=-120.0, pitch_max_deg=40.0)
-    held = limits_that_hold(own, limits)
+    held = effective_limits(own, limits)
     assert (held.pitch_min_deg, held.pitch_max_deg, held.pans) == (-120.0, 40.0, False)
 
 
 def test_auto_keeps_the_pan_range_that_is_stated() -> None:
     limits = configured_gimbal(config(yaw="auto", yaw_deg=[-160, 160]))
     own = GimbalLimits(yaw_min_deg=0.0, yaw_max_deg=0.0, yaw_endless=False)
-    held = limits_that_hold(own, limits)
+    held = effective_limits(own, limits)
     assert not held.pans
     assert held.turning == limits.turning
 

@@ -84,7 +84,7 @@ class Autopilot:
             self.goal_m = params[6]
         return self.result
 
-    async def vendor_call(self, what: str, call: Any) -> None:
+    async def mavsdk_call(self, what: str, call: Any) -> None:
         if call == self.land:
             self.goal_m = 0.0 if self.lands else self.goal_m
         elif self.clock.now_s >= self.arms_from_s:

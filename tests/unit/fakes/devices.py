@@ -16,8 +16,8 @@ from panoexec.devices import (
     CaptureEvidence,
     EvidenceLevel,
     Quaternion,
-    Recollection,
-    RememberedPhoto,
+    RecalledPhoto,
+    RecalledPhotos,
     Severity,
     VehicleAttitude,
     VehicleStatus,
@@ -332,10 +332,10 @@ class FakeCamera:
         if self.memory_fails > 0:
             self.memory_fails -= 1
             raise DeviceError("the camera did not answer")
-        photos = [self._remembered(photo) for photo in self.photos[-4:]] if self.remembers else []
-        return Recollection(photos=tuple(photos), image_count=self.image_count)
+        photos = [self._recalled(photo) for photo in self.photos[-4:]] if self.remembers else []
+        return RecalledPhotos(photos=tuple(photos), image_count=self.image_count)
 
-    def _remembered(self, photo: TakenPhoto) -> RememberedPhoto:
+    def _recalled(self, photo: TakenPhoto) -> RecalledPhoto:
         evidence = CaptureEvidence(
             level=self.level,
             received_s=self.clock.monotonic(),
@@ -343,7 +343,7 @@ class FakeCamera:
             file_url=f"IMG_{photo.index:04d}.jpg" if self.level >= EvidenceLevel.CAPTURE_MESSAGE else "",
         )
         ago_s = self.clock.monotonic() - photo.exposed_s
-        return RememberedPhoto(evidence=evidence, exposed_utc_s=self.clock.time() - ago_s)
+        return RecalledPhoto(evidence=evidence, exposed_utc_s=self.clock.time() - ago_s)
 
     async def trigger(self) -> FakeCapture:
         commanded_s = self.clock.monotonic()

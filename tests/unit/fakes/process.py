@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from panoexec.devices import AttitudeFeed, PendingCapture, Recollection
+from panoexec.devices import AttitudeFeed, PendingCapture, RecalledPhotos
 from panoexec.errors import DeviceError
 from panoexec.mission.executor import Mission
 from panoexec.mission.log.events import Event
@@ -92,7 +92,7 @@ class _Camera:
     def image_count(self) -> int:
         return self._real.image_count
 
-    async def recall(self) -> Recollection:
+    async def recall(self) -> RecalledPhotos:
         return await self._real.recall()
 
     async def trigger(self) -> PendingCapture:

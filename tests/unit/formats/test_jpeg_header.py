@@ -44,8 +44,8 @@ def test_cut_off_headers_and_other_files(tmp_path: Path) -> None:
     whole = photo(tmp_path / "a.jpg", 1).read_bytes()
     path = tmp_path / "b.jpg"
     for content, text in (
-        (b"", "no JPEG"),
-        (b"\x89PNG\r\n", "no JPEG"),
+        (b"", "not a JPEG"),
+        (b"\x89PNG\r\n", "not a JPEG"),
         (whole[:10], "cut off"),
         (whole[:21], "cut off"),
     ):

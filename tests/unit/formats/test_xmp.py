@@ -90,8 +90,8 @@ def test_xmp_is_put_in_and_replaced_without_touching_the_rest(exif: bool) -> Non
 def test_what_is_no_jpeg_is_refused() -> None:
     whole = jpeg()
     for broken, text in (
-        (b"", "is no JPEG"),
-        (b"\x89PNG", "is no JPEG"),
+        (b"", "is not a JPEG"),
+        (b"\x89PNG", "is not a JPEG"),
         (whole[:3], "broken"),
         (whole[:20], "broken"),
     ):

@@ -21,7 +21,7 @@ GUARDS = GuardSettings(battery_floor_frac=0.25, hover_s=1200.0, allowed_modes=("
     ("charge_frac", "minutes", "problem", "warned"),
     [
         (0.5, 4.9, "", False),
-        (0.5, 5.1, "battery at 50 %: the 5.1 min of shooting take about 26 %, and 25 % must remain", True),
+        (0.5, 5.1, "battery at 50 %: 5.1 min of shooting need about 26 %, and 25 % must remain", True),
         (0.2, 0.1, "battery at 20 %, the floor is 25 %", True),
         (0.95, 13.5, "", False),
         (0.92, 13.5, "", True),  # nearly full: there is no better one

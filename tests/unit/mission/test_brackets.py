@@ -39,7 +39,7 @@ def test_a_pilot_need_not_wait_for_the_rest_of_a_bracket() -> None:
         await world.clock.sleep(3.0)
         world.vehicle.change(mode="OFFBOARD")
         await world.clock.sleep(1.0)
-        mission.verbs.resume()
+        mission.commands.resume()
 
     world = fly(script, settings=FIVE)
     assert world.record.state is S.COMPLETE
@@ -57,7 +57,7 @@ def test_a_command_is_obeyed_between_two_photos(verb: str, state: MissionState) 
     async def script(world: World, mission: Mission) -> None:
         await _photos(world, 2)
         await world.clock.sleep(0.5)
-        getattr(mission.verbs, verb)()
+        getattr(mission.commands, verb)()
         await world.clock.sleep(1.0)
         assert len(world.camera.photos) == 2
         assert isinstance(world.sink.of(ev.ShotInterrupted)[0], ev.ShotInterrupted)

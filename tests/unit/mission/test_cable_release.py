@@ -38,4 +38,4 @@ def test_where_more_is_asked_for_none_of_them_counts() -> None:
     assert world.record.state is MissionState.INCOMPLETE
     assert world.record.shots_done == 0
     reason = world.record.shots[0].attempts[0].reason
-    assert "only commanded after 0.5 s, acknowledged is asked for" in reason
+    assert "only commanded after 0.5 s, acknowledged is required" in reason

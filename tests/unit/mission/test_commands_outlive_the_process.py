@@ -50,7 +50,7 @@ async def _open_shutter(world: World, count: int) -> None:
 def test_what_ends_a_mission_ends_it(verb: str, state: MissionState) -> None:
     async def script(world: World, mission: Mission) -> None:
         await _open_shutter(world, 2)
-        getattr(mission.verbs, verb)("it rains")
+        getattr(mission.commands, verb)("it rains")
 
     world, record = _two_lives(script)
     assert record.state is state
@@ -62,8 +62,8 @@ def test_what_ends_a_mission_ends_it(verb: str, state: MissionState) -> None:
 def test_an_abort_overrules_a_finish_there_too() -> None:
     async def script(world: World, mission: Mission) -> None:
         await _open_shutter(world, 2)
-        mission.verbs.finish()
-        mission.verbs.abort("danger")
+        mission.commands.finish()
+        mission.commands.abort("danger")
 
     _, record = _two_lives(script)
     assert (record.state, record.reason) == (S.ABORTED, "danger")
@@ -72,7 +72,7 @@ def test_an_abort_overrules_a_finish_there_too() -> None:
 def test_a_skip_is_a_skip() -> None:
     async def script(world: World, mission: Mission) -> None:
         await _open_shutter(world, 2)
-        mission.verbs.skip()
+        mission.commands.skip()
 
     world, record = _two_lives(script)
     assert record.shots[1].status is ShotStatus.SKIPPED
@@ -83,7 +83,7 @@ def test_a_skip_is_a_skip() -> None:
 def test_a_repeat_is_a_repeat_once() -> None:
     async def script(world: World, mission: Mission) -> None:
         await until_event(world, ev.ShotAccepted, 2)
-        mission.verbs.repeat(0)
+        mission.commands.repeat(0)
 
     world, record = _two_lives(script)
     assert record.state is S.COMPLETE
@@ -94,11 +94,11 @@ def test_a_repeat_is_a_repeat_once() -> None:
 def test_a_pause_is_on_record_until_somebody_wants_it_to_go_on() -> None:
     async def script(world: World, mission: Mission) -> None:
         await until_event(world, ev.ShotAccepted, 2)
-        mission.verbs.pause()
+        mission.commands.pause()
         assert mission.record.asked.pause
-        mission.verbs.resume()
+        mission.commands.resume()
         assert not mission.record.asked.pause
-        mission.verbs.pause()
+        mission.commands.pause()
         asked.append(mission.record.asked.pause)
 
     asked: list[bool] = []

@@ -25,12 +25,12 @@ def test_a_gimbal_that_is_given_back_is_nobodys_and_can_be_taken_by_resuming(acq
         world.gimbal.in_control, world.gimbal.acquire_s = False, acquire_s
         await until_event(world, ev.MissionPaused)
         await world.clock.sleep(5.0)
-        with pytest.raises(CommandRefusedError, match="give it back"):
-            mission.verbs.resume()
+        with pytest.raises(CommandRefusedError, match="release it there"):
+            mission.commands.resume()
         world.gimbal.other = (0, 0)
         await world.clock.sleep(5.0)
         assert mission.record.state is S.PAUSED  # it is for the pilot to say
-        mission.verbs.resume()
+        mission.commands.resume()
 
     world = fly(script, settings=NEVER)
     assert world.record.state is S.COMPLETE
@@ -47,7 +47,7 @@ def test_a_gimbal_that_nobody_has_any_more_holds_all_the_same() -> None:
         await until_event(world, ev.MissionPaused)
         await world.clock.sleep(5.0)
         assert mission.record.state is S.PAUSED
-        mission.verbs.resume()
+        mission.commands.resume()
 
     assert fly(script, settings=NEVER).record.state is S.COMPLETE
 
@@ -63,7 +63,7 @@ def test_a_pilot_who_takes_over_while_the_gimbal_is_being_taken_sees_it_stand_st
             await world.clock.sleep(1.0)
             world.vehicle.change(mode="HOLD")
             await world.clock.sleep(1.0)
-            mission.verbs.resume()
+            mission.commands.resume()
             pauses = 2
         await world.clock.sleep(1.99)  # the gimbal is ours in a moment
         world.vehicle.change(mode="STABILIZED")
@@ -74,7 +74,7 @@ def test_a_pilot_who_takes_over_while_the_gimbal_is_being_taken_sees_it_stand_st
         assert not world.gimbal.in_control
         world.vehicle.change(mode="HOLD")
         await world.clock.sleep(1.0)
-        mission.verbs.resume()
+        mission.commands.resume()
 
     def prepare(world: World) -> None:
         world.gimbal.acquire_s = 2.0
@@ -107,7 +107,7 @@ def test_a_gimbal_that_is_not_ours_may_report_seldom() -> None:
         await world.clock.sleep(3.0)
         world.vehicle.change(mode="OFFBOARD")
         await world.clock.sleep(1.45)
-        mission.verbs.resume()
+        mission.commands.resume()
 
     guards = GuardSettings(attitude_silence_s=0.5, allowed_modes=("OFFBOARD",))
     world = fly(script, prepare, settings=some_settings(guards=guards))

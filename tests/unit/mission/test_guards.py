@@ -57,7 +57,7 @@ def _vehicle(**changes: object) -> Situation:
         (LinkGuard(), _vehicle(connected=False), "link", "no heartbeat", True, False),
         (AttitudeGuard(1.0), replace(WELL, sample_age_s=1.2), "attitude", "for 1.2 s", True, False),
         (AttitudeGuard(1.0), replace(WELL, sample_age_s=math.inf), "attitude", "no attitude yet", True, False),
-        (ControlGuard(True), replace(WELL, in_control=False), "gimbal_control", "asking for it back", True, False),
+        (ControlGuard(True), replace(WELL, in_control=False), "gimbal_control", "requesting it back", True, False),
         (ControlGuard(False), replace(WELL, in_control=False), "gimbal_control", "and resume", False, False),
         (MODES, _vehicle(mode="STABILIZED"), "pilot", "mode STABILIZED; allowed: HOLD, OFFBOARD", False, True),
         (LandedGuard(), _vehicle(in_air=False), "landed", "not in the air", False, True),

@@ -24,12 +24,17 @@ def test_what_a_finished_mission_cannot_do() -> None:
         async with a_world() as world:
             mission = world.mission()
             with pytest.raises(CommandRefusedError, match="the mission is idle"):
-                mission.verbs.pause()
+                mission.commands.pause()
             await mission.run()
-            for verb in (mission.verbs.pause, mission.verbs.resume, mission.verbs.abort, mission.verbs.finish):
+            for verb in (
+                mission.commands.pause,
+                mission.commands.resume,
+                mission.commands.abort,
+                mission.commands.finish,
+            ):
                 with pytest.raises(CommandRefusedError, match="the mission is complete"):
                     verb()
-            with pytest.raises(MissionError, match="once"):
+            with pytest.raises(MissionError, match="called before"):
                 await mission.run()
             with pytest.raises(MissionError, match="complete and cannot be resumed"):
                 world.mission(past=world.journal.events)
@@ -40,16 +45,16 @@ def test_what_a_finished_mission_cannot_do() -> None:
 def test_pause_holds_after_the_photo_and_resume_goes_on() -> None:
     async def script(world: World, mission: Mission) -> None:
         await until_event(world, ev.ShotStarted, 2)
-        mission.verbs.pause("coffee")
+        mission.commands.pause("coffee")
         with pytest.raises(CommandRefusedError, match="paused already"):
-            mission.verbs.pause()
+            mission.commands.pause()
         await until_event(world, ev.MissionPaused)
         photos = len(world.camera.photos)
         await world.clock.sleep(10.0)
         assert len(world.camera.photos) == photos
         assert mission.record.state is S.PAUSED
         assert mission.record.reason == "coffee"
-        mission.verbs.resume()
+        mission.commands.resume()
 
     world = fly(script)
     assert world.record.state is S.COMPLETE
@@ -61,10 +66,10 @@ def test_pause_holds_after_the_photo_and_resume_goes_on() -> None:
 def test_resume_right_after_pause_leaves_no_pause() -> None:
     async def script(world: World, mission: Mission) -> None:
         await until_event(world, ev.ShotStarted, 2)
-        mission.verbs.pause()
-        mission.verbs.resume()
+        mission.commands.pause()
+        mission.commands.resume()
         with pytest.raises(CommandRefusedError, match="not paused"):
-            mission.verbs.resume()
+            mission.commands.resume()
 
     world = fly(script)
     assert world.sink.of(ev.MissionPaused) == []
@@ -74,7 +79,7 @@ def test_resume_right_after_pause_leaves_no_pause() -> None:
 def test_a_pause_that_nobody_ends_ends_the_mission_resumable() -> None:
     async def script(world: World, mission: Mission) -> None:
         await until_event(world, ev.ShotStarted)
-        mission.verbs.pause()
+        mission.commands.pause()
 
     world = fly(script)
     assert world.record.state is S.FAILED
@@ -84,13 +89,13 @@ def test_a_pause_that_nobody_ends_ends_the_mission_resumable() -> None:
 def test_skip_leaves_the_current_shot_out_at_once() -> None:
     async def script(world: World, mission: Mission) -> None:
         await until_event(world, ev.ShotStarted, 2)
-        assert mission.verbs.skip() == 1
-        assert mission.verbs.skip(3) == 3
+        assert mission.commands.skip() == 1
+        assert mission.commands.skip(3) == 3
         with pytest.raises(CommandRefusedError, match="shots are 0 to 3"):
-            mission.verbs.skip(7)
+            mission.commands.skip(7)
         await until_event(world, ev.ShotSkipped, 2)
         with pytest.raises(CommandRefusedError, match="skipped already"):
-            mission.verbs.skip(3)
+            mission.commands.skip(3)
 
     world = fly(script)
     assert world.record.state is S.INCOMPLETE
@@ -101,9 +106,9 @@ def test_skip_leaves_the_current_shot_out_at_once() -> None:
 def test_repeat_takes_the_last_accepted_shot_again_and_the_new_photo_counts() -> None:
     async def script(world: World, mission: Mission) -> None:
         await until_event(world, ev.ShotAccepted, 1)
-        assert mission.verbs.repeat() == 0
-        with pytest.raises(CommandRefusedError, match="to be taken anyway"):
-            mission.verbs.repeat(0)
+        assert mission.commands.repeat() == 0
+        with pytest.raises(CommandRefusedError, match="still in the queue"):
+            mission.commands.repeat(0)
 
     world = fly(script)
     assert world.record.state is S.COMPLETE
@@ -118,7 +123,7 @@ def test_a_repeat_while_finishing_goes_back_to_shooting() -> None:
     async def script(world: World, mission: Mission) -> None:
         while mission.record.state is not S.FINISHING:
             await world.clock.sleep(0.001)
-        mission.verbs.repeat(2)
+        mission.commands.repeat(2)
 
     def prepare(world: World) -> None:
         certify = world.verifier.certify
@@ -138,7 +143,7 @@ def test_a_repeat_while_finishing_goes_back_to_shooting() -> None:
 def test_abort_at_any_moment_ends_at_once_with_the_gimbal_released(at_s: float) -> None:
     async def script(world: World, mission: Mission) -> None:
         await world.clock.sleep(0.001 + at_s)
-        mission.verbs.abort("enough")
+        mission.commands.abort("enough")
         asked = world.clock.monotonic()
         while not mission.record.ended:
             await world.clock.sleep(0.01)
@@ -152,7 +157,7 @@ def test_abort_at_any_moment_ends_at_once_with_the_gimbal_released(at_s: float) 
 def test_finish_accepts_the_gaps() -> None:
     async def script(world: World, mission: Mission) -> None:
         await until_event(world, ev.ShotAccepted, 2)
-        mission.verbs.finish()
+        mission.commands.finish()
 
     world = fly(script)
     assert world.record.state is S.INCOMPLETE
@@ -172,7 +177,7 @@ def test_each_verb_is_safe_at_every_instant_of_a_photo(verb: str) -> None:
             await world.clock.sleep(at_s)
             before = (mission.record.seq, mission.record.state)
             try:
-                getattr(mission.verbs, verb)()
+                getattr(mission.commands, verb)()
             except CommandRefusedError:
                 assert (mission.record.seq, mission.record.state) == before
                 asked.append("refused")
@@ -181,7 +186,7 @@ def test_each_verb_is_safe_at_every_instant_of_a_photo(verb: str) -> None:
             while not mission.record.ended and mission.record.state is not S.PAUSED:
                 await world.clock.sleep(0.05)
             if mission.record.state is S.PAUSED and verb == "pause":
-                mission.verbs.resume()
+                mission.commands.resume()
 
         world = fly(script, plan=a_plan(2))  # every invariant is checked at its end
         obeyed = asked == ["obeyed"]
@@ -205,7 +210,7 @@ def test_what_comes_after_the_last_decision_is_refused_and_not_forgotten(verb: s
             await world.clock.sleep(0.001)
         seq = mission.record.seq
         with pytest.raises(CommandRefusedError, match="the mission is over"):
-            getattr(mission.verbs, verb)()
+            getattr(mission.commands, verb)()
         assert mission.record.seq == seq
 
     releasing: list[bool] = []
@@ -233,7 +238,7 @@ def test_the_last_shot_is_the_last_one_whatever_the_wall_clock_says() -> None:
         time = world.clock.time
         setattr(world.clock, "time", lambda: time() - 86400.0)  # noqa: B010
         await until_event(world, ev.ShotAccepted, 3)
-        assert mission.verbs.repeat() == 2
+        assert mission.commands.repeat() == 2
 
     world = fly(script)
     assert world.record.state is S.COMPLETE

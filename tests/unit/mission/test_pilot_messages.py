@@ -11,7 +11,7 @@ import pytest
 from panoexec.devices import Severity
 from panoexec.errors import MissionError
 from panoexec.mission.log.states import MissionState
-from panoexec.mission.pilot_messages import FAREWELL_S, PAUSES, PilotMessage, PilotMessenger
+from panoexec.mission.pilot_messages import FLUSH_TIMEOUT_S, PAUSE_TEXTS, PilotMessage, PilotMessenger
 from panoexec.store.session import Devices, MissionSession, create_mission, open_mission
 from tests.unit.fakes.virtual import run_virtual
 from tests.unit.fakes.world import World, a_world, some_settings
@@ -49,25 +49,25 @@ def heard(storage: Path, script: Script | None = None, prepare: Callable[[World]
 
 def test_a_mission_without_trouble(tmp_path: Path) -> None:
     assert heard(tmp_path) == [
-        "INFO Pano: 4 shots, checking",
+        "INFO Pano: 4 shots, preflight checks",
         "NOTICE Pano: shooting, hold position",
-        "NOTICE Pano: complete, 4/4, gimbal is free",
+        "NOTICE Pano: complete, 4/4, gimbal released",
     ]
 
 
 def test_a_pause_an_end_of_it_and_an_abort(tmp_path: Path) -> None:
     async def script(world: World, session: MissionSession) -> None:
         await world.clock.sleep(3.0)
-        session.mission.verbs.pause("coffee")
+        session.mission.commands.pause("coffee")
         await world.clock.sleep(3.0)
-        session.mission.verbs.resume()
+        session.mission.commands.resume()
         await world.clock.sleep(0.5)
-        session.mission.verbs.abort()
+        session.mission.commands.abort()
 
     assert heard(tmp_path, script)[2:] == [
         "NOTICE Pano: paused: by command",
-        "NOTICE Pano: goes on at 1/4",
-        "WARNING Pano: aborted at 2/4, gimbal is free",
+        "NOTICE Pano: continues at 1/4",
+        "WARNING Pano: aborted at 2/4, gimbal released",
     ]
 
 
@@ -79,12 +79,12 @@ def test_guards_and_a_reboot(tmp_path: Path) -> None:
             await world.clock.sleep(0.05)
         world.vehicle.change(battery_frac=0.9)
         await world.clock.sleep(0.5)
-        session.mission.verbs.resume()
+        session.mission.commands.resume()
 
     assert heard(tmp_path, script)[2:5] == [
         "WARNING Pano: autopilot rebooted",
         "WARNING Pano: paused: battery low: land, swap, resume",
-        "NOTICE Pano: goes on at 1/4",
+        "NOTICE Pano: continues at 1/4",
     ]
 
 
@@ -99,7 +99,7 @@ def test_a_stop_of_the_process_and_what_the_next_one_says(tmp_path: Path) -> Non
 
             async def stop(world: World, session: MissionSession) -> None:
                 await world.clock.sleep(3.0)
-                session.mission.verbs.interrupt()
+                session.mission.commands.interrupt()
                 stored.append(session.stored.directory)
 
             stored: list[object] = []
@@ -111,7 +111,10 @@ def test_a_stop_of_the_process_and_what_the_next_one_says(tmp_path: Path) -> Non
                 await session.run()
             return [text for _, text in world.vehicle.said]
 
-    assert run_virtual(main())[2:4] == ["Pano: stopped at 1/4, can be resumed", "Pano: goes on at 1/4, checking"]
+    assert run_virtual(main())[2:4] == [
+        "Pano: stopped at 1/4, can be resumed",
+        "Pano: resumed at 1/4, preflight checks",
+    ]
 
 
 def test_an_error_of_ours_is_not_kept_from_the_pilot(tmp_path: Path) -> None:
@@ -126,7 +129,7 @@ def test_an_error_of_ours_is_not_kept_from_the_pilot(tmp_path: Path) -> None:
                 await _fly(world, tmp_path, delete)
             return world.vehicle.said
 
-    assert run_virtual(main())[-1] == (Severity.ERROR, "Pano: stopped by an error, gimbal is free")
+    assert run_virtual(main())[-1] == (Severity.ERROR, "Pano: stopped by an error, gimbal released")
 
 
 def test_a_link_that_takes_no_words_keeps_no_mission_waiting(tmp_path: Path) -> None:
@@ -137,7 +140,7 @@ def test_a_link_that_takes_no_words_keeps_no_mission_waiting(tmp_path: Path) -> 
             await _fly(world, tmp_path)
             assert world.journal.events == []
             finished = world.sink.events[-1].time_utc_s - 1_700_000_000.0
-            assert world.clock.monotonic() - finished <= FAREWELL_S + 0.01
+            assert world.clock.monotonic() - finished <= FLUSH_TIMEOUT_S + 0.01
             assert finished > began
 
     run_virtual(main())
@@ -146,10 +149,10 @@ def test_a_link_that_takes_no_words_keeps_no_mission_waiting(tmp_path: Path) -> 
 def test_the_oldest_words_are_dropped_when_too_many_wait() -> None:
     async def main() -> None:
         async with a_world() as world:
-            voice = PilotMessenger(vehicle=world.vehicle, record=world.record_of_journal())
+            messenger = PilotMessenger(vehicle=world.vehicle, record=world.record_of_journal())
             for number in range(50):
-                voice.tell(PilotMessage(str(number), Severity.INFO))
-            await voice.farewell()
+                messenger.send(PilotMessage(str(number), Severity.INFO))
+            await messenger.flush()
             assert [text for _, text in world.vehicle.said] == [f"Pano: {number}" for number in range(30, 50)]
 
     run_virtual(main())
@@ -170,5 +173,5 @@ def test_every_guard_has_words_that_fit_on_a_line() -> None:
         if keyword.arg == "code" and isinstance(keyword.value, ast.Constant)
     }
     assert len(codes) >= 8
-    assert codes | {"command"} == set(PAUSES)
-    assert all(len(f"Pano: paused: {words}") <= LINE for words in PAUSES.values())
+    assert codes | {"command"} == set(PAUSE_TEXTS)
+    assert all(len(f"Pano: paused: {words}") <= LINE for words in PAUSE_TEXTS.values())

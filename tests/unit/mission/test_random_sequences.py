@@ -131,7 +131,7 @@ class Tally:
 
 
 def _command(rng: random.Random, mission: Mission, name: str) -> None:
-    verb = getattr(mission.verbs, name)
+    verb = getattr(mission.commands, name)
     try:
         if name in {"skip", "repeat"} and rng.random() < 0.5:
             verb(rng.randrange(5))

@@ -153,7 +153,7 @@ def test_without_a_memory_the_photo_is_taken_again_once() -> None:
     assert len(two.world.camera.photos) == 5
     attempts = two.record.shots[1].attempts
     assert [(a.verdict, a.code) for a in attempts] == [(Verdict.REJECTED, "crash"), (Verdict.ACCEPTED, "")]
-    assert attempts[0].reason == "panoexec stopped before its photo was proven"
+    assert attempts[0].reason == "panoexec stopped before there was evidence of the photo"
 
 
 def test_acknowledgement_is_proof_enough_where_no_more_is_asked_for() -> None:
@@ -170,7 +170,7 @@ def test_a_photo_whose_pose_is_not_on_disk_is_filed_and_taken_again() -> None:
     first, second = two.record.shots[1].attempts
     assert (first.verdict, first.code, first.exposed) == (Verdict.REJECTED, "crash", None)
     assert [photo.image_index for photo in first.photos] == [1]
-    assert "before the pointing of its photo was on record" in first.reason
+    assert "before the pointing during the exposure was recorded" in first.reason
     assert [photo.image_index for photo in second.photos] == [2]
     assert two.record.retakes == 1
 
@@ -253,7 +253,7 @@ def test_a_second_stop_before_anything_was_settled_leaves_it_to_the_third_proces
             second = world.mission(past=list(world.journal.events))
             asking = asyncio.create_task(second.run(), name="second life")
             await world.clock.sleep(0.001)
-            second.verbs.interrupt()
+            second.commands.interrupt()
             record = await asking
             assert record.state is S.PAUSED
             assert record.shots[1].open_attempt is not None

@@ -29,7 +29,7 @@ def _lost(world: World) -> None:
 async def _drifts_and_comes_back(world: World, mission: Mission) -> None:
     world.vehicle.change(latitude_deg=47.0 + 4 * METRE)
     await until_event(world, ev.MissionPaused)
-    assert "4.0 m away from where" in mission.record.reason
+    assert "4.0 m from where" in mission.record.reason
     world.vehicle.change(latitude_deg=47.0)
 
 
@@ -87,7 +87,7 @@ def test_a_resumed_mission_that_moved_says_so_when_it_knows() -> None:
             mission = world.mission()
             running = asyncio.create_task(mission.run(), name="first life")
             await until_event(world, ev.ShotAccepted, 2)
-            mission.verbs.interrupt()
+            mission.commands.interrupt()
             await running
             _lost(world)
             again = world.mission(past=list(world.journal.events))
@@ -115,7 +115,7 @@ def test_many_small_moves_add_up() -> None:
                 mission = world.mission(past=list(world.journal.events))
                 running = asyncio.create_task(mission.run(), name=f"life {life}")
                 await until_event(world, ev.ShotAccepted, life + 1)
-                mission.verbs.interrupt()
+                mission.commands.interrupt()
                 await running
             return world
 

@@ -93,7 +93,7 @@ def test_an_exposure_outside_tolerance_counts_when_the_overlaps_hold_as_measured
     settings = some_settings(accept="overlap", max_rate_deg_s=8.0, attempts=1, rounds=1)
     world = fly(prepare=strict, settings=settings)
     assert world.record.missing() == (1,)
-    assert "overlaps would not hold" in world.sink.of(ev.ShotRejected)[0].reason
+    assert "overlaps are too small" in world.sink.of(ev.ShotRejected)[0].reason
 
     blurred = some_settings(accept="overlap", attempts=1, rounds=1)
     world = fly(prepare=lambda w: off(w, 3.0), settings=blurred)

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from panoexec.angles import FloatArray, rotation, wrap_180
-from panoexec.mission.verifier import NO_ROW, ThreadedVerifier, certify_flown, flown_constraints, patch_shots, row_of
+from panoexec.mission.verifier import (
+    NO_ROW,
+    ThreadedVerifier,
+    certify_measured,
+    measured_constraints,
+    patch_shots,
+    row_of,
+)
 from panoexec.optics import Camera
 from panoexec.planning.certificate.verdict import certify
 from panoexec.planning.model import Band, Constraints, Plan, Shot, Tolerance
@@ -67,24 +74,24 @@ def test_a_panorama_within_tolerance_of_a_certified_plan_is_certified(seed: int)
     )
     plan = replace(plan, constraints=tight)
     plan = replace(plan, certificate=certify(plan))
-    assert certify_flown(plan, _flown(plan, seed), ROWS).certified
+    assert certify_measured(plan, _flown(plan, seed), ROWS).certified
     # without the plan's own worst case, thresholds that hold exactly at the planned poses would not hold as flown
-    assert not certify_flown(replace(plan, certificate=None), _flown(plan, seed), ROWS).certified
+    assert not certify_measured(replace(plan, certificate=None), _flown(plan, seed), ROWS).certified
 
 
 def test_a_guarantee_for_all_errors_keeps_its_thresholds() -> None:
     plan = _plan()
     strict = replace(plan, constraints=replace(plan.constraints, guarantee="all"))
-    assert flown_constraints(strict).overlap_h == plan.constraints.overlap_h
-    assert flown_constraints(strict).tolerance.is_zero
-    assert flown_constraints(plan).overlap_h <= plan.constraints.overlap_h
+    assert measured_constraints(strict).overlap_h == plan.constraints.overlap_h
+    assert measured_constraints(strict).tolerance.is_zero
+    assert measured_constraints(plan).overlap_h <= plan.constraints.overlap_h
 
 
 def test_a_missing_shot_is_a_hole_where_it_was_and_one_patch_closes_it() -> None:
     plan = _plan(per_row=8, pitches=(-30.0, 5.0))
     kept = np.delete(plan.rotations(), 3, axis=0)
     rows = [shot.row for shot in plan.shots if shot.index != 3]
-    verdict = certify_flown(plan, kept, rows)
+    verdict = certify_measured(plan, kept, rows)
     assert not verdict.certified
     assert verdict.holes
     patches = patch_shots(plan, kept)
@@ -92,7 +99,7 @@ def test_a_missing_shot_is_a_hole_where_it_was_and_one_patch_closes_it() -> None
     assert patches[0].yaw_deg == pytest.approx(plan.shots[3].yaw_deg, abs=10)
     assert patches[0].row == plan.shots[3].row
     closed = np.concatenate([kept, [rotation(patches[0].yaw_deg, patches[0].pitch_deg)]])
-    assert certify_flown(plan, closed, [*rows, patches[0].row]).uncovered_fraction == 0
+    assert certify_measured(plan, closed, [*rows, patches[0].row]).uncovered_fraction == 0
 
 
 def test_many_missing_shots_are_patched_or_it_is_not_tried() -> None:
@@ -103,24 +110,25 @@ def test_many_missing_shots_are_patched_or_it_is_not_tried() -> None:
         assert patches
         taken = np.array([rotation(p.yaw_deg, p.pitch_deg) for p in patches])
         assert (
-            certify_flown(plan, np.concatenate([kept, taken]), [0] * (len(kept) + len(taken))).uncovered_fraction == 0
+            certify_measured(plan, np.concatenate([kept, taken]), [0] * (len(kept) + len(taken))).uncovered_fraction
+            == 0
         )
     assert patch_shots(plan, plan.rotations()[:1]) == [] or len(patch_shots(plan, plan.rotations()[:1])) <= 12
 
 
 def test_holes_of_the_plan_itself_are_not_patched() -> None:
     plan = _plan(per_row=4)
-    assert certify_flown(plan, plan.rotations(), [0] * 8).holes
+    assert certify_measured(plan, plan.rotations(), [0] * 8).holes
     assert patch_shots(plan, plan.rotations()) == []
 
 
 def test_an_image_without_a_row_counts_for_coverage_only() -> None:
     plan = _plan()
     odd = rotation(18.0, -15.0)[None]
-    with_it = certify_flown(plan, np.concatenate([plan.rotations(), odd]), [*ROWS, NO_ROW])
+    with_it = certify_measured(plan, np.concatenate([plan.rotations(), odd]), [*ROWS, NO_ROW])
     assert with_it.certified
     assert with_it.images == len(ROWS) + 1
-    without = certify_flown(plan, plan.rotations(), ROWS)
+    without = certify_measured(plan, plan.rotations(), ROWS)
     assert with_it.min_overlap_h == without.min_overlap_h
     assert row_of(plan, -15.0) == NO_ROW
     assert row_of(plan, -25.0) == 0
@@ -163,4 +171,4 @@ def test_patches_point_where_the_plan_does(azimuth: tuple[float, float]) -> None
             offset = float(wrap_180(patch.yaw_deg - (low + high) / 2))
             assert min(offsets) - 1e-9 <= offset <= max(offsets) + 1e-9
     closed = np.concatenate([flown, [rotation(patch.yaw_deg, patch.pitch_deg) for patch in patches]])
-    assert certify_flown(plan, closed, [NO_ROW] * len(closed)).uncovered_fraction == 0
+    assert certify_measured(plan, closed, [NO_ROW] * len(closed)).uncovered_fraction == 0

@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from panoexec.errors import DeviceError
-from panoexec.mission.waiting import unbroken, until, within
+from panoexec.mission.waiting import uncancelled, until, within
 from tests.unit.fakes.virtual import VirtualClock, run_virtual
 
 
@@ -84,7 +84,7 @@ def test_what_must_come_to_its_end_does_so_before_a_cancellation_is_obeyed() -> 
             return "done"
 
         async def caller() -> str:
-            return await unbroken(asyncio.create_task(essential(), name="essential"))
+            return await uncancelled(asyncio.create_task(essential(), name="essential"))
 
         assert await caller() == "done"
         task = asyncio.create_task(caller())

@@ -158,10 +158,10 @@ def test_a_mission_without_photos_without_a_plan_without_a_shot_tried(directory:
 
     edit(directory, nothing)
     report = write_report(directory)
-    assert (report.photos, report.panorama, report.why_none) == (0, "", "there are no photos to look at")
+    assert (report.photos, report.panorama, report.why_none) == (0, "", "there are no usable photos")
     assert [note.split(":")[0] for note in report.notes] == [
-        "without the plan's constraints",
-        "without the journal's times",
+        "the plan's constraints are missing",
+        "the journal's times are missing",
     ]
     data = data_of(directory)
     assert data["timeline"]["limit_s"] is None

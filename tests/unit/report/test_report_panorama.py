@@ -41,7 +41,7 @@ def test_the_quick_look_is_the_scene(directory: MissionDirectory) -> None:
 
 
 def test_a_look_that_would_take_too_long_is_given_up(directory: MissionDirectory) -> None:
-    picture, why = best_picture(read_source(directory), patience_s=0.0)
+    picture, why = best_picture(read_source(directory), max_cpu_s=0.0)
     # seven photos: the third tells how long they take, before half of them are done
     assert picture is None
     assert "too large" in why

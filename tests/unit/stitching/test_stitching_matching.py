@@ -119,7 +119,7 @@ def test_tools_die_with_their_caller_and_their_words_are_told(tmp_path: Path, mo
     with pytest.raises(KeyboardInterrupt):
         run_tool(["slow"], tmp_path, stop)
     tool(tmp_path / "bin", "killed", "import os\nos.kill(os.getpid(), 9)\n", monkeypatch)
-    with pytest.raises(ToolError, match="killed by signal 9: it said nothing"):
+    with pytest.raises(ToolError, match="killed by signal 9: no output"):
         run_tool(["killed"], tmp_path)
     with pytest.raises(ToolError, match="cannot be started"):
         run_tool(["no-such-tool"], tmp_path)

@@ -160,7 +160,7 @@ async def test_a_full_disk_is_called_so(journals: Journals, monkeypatch: pytest.
     with pytest.raises(JournalFileError, match=r"cannot be opened .disk I/O error"):
         await open_mission(MissionDirectory(journals.killed))
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
-    with pytest.raises(JournalFileError, match=r"cannot be opened .there is no room left in"):
+    with pytest.raises(JournalFileError, match=r"cannot be opened .no space left in"):
         await open_mission(MissionDirectory(journals.killed))
 
 
@@ -174,4 +174,4 @@ def test_what_another_version_wrote_is_not_called_damaged(journals: Journals, tm
     outcome = _outcome(folder)
     assert isinstance(outcome, str)
     assert "written by panoexec 99.1" in outcome
-    assert "resume it with that one" in outcome
+    assert "resume it with that version" in outcome

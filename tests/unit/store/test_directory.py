@@ -24,14 +24,14 @@ def test_names_sort_by_time_and_never_collide(tmp_path: Path) -> None:
 
 def test_a_storage_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(UsageError, match="file/missions: cannot be made"):
+    with pytest.raises(UsageError, match="file/missions: cannot be created"):
         new_mission_directory(tmp_path / "file", now_utc_s=0.0)
 
 
 def test_what_holds_no_mission_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no such directory"):
         existing_mission_directory(tmp_path / "nothing")
-    with pytest.raises(UsageError, match="holds no mission"):
+    with pytest.raises(UsageError, match="not a mission directory"):
         existing_mission_directory(tmp_path)
     (tmp_path / "journal.sqlite").touch()
     assert existing_mission_directory(tmp_path).journal == tmp_path / "journal.sqlite"

@@ -154,7 +154,7 @@ def _nonsense(path: Path) -> None:
         (lambda path: path.write_bytes(path.read_bytes()[:5000]), "damaged"),
         (_torn, "damaged"),
         (_newer, r"newer panoexec \(layout 2, this one reads up to 1\)"),
-        (_foreign, "not a journal of panoexec"),
+        (_foreign, "not a panoexec journal"),
         (_gap, "damaged .event 2 is missing"),
         (_nonsense, "damaged .*moon_landing"),
     ],
@@ -181,14 +181,14 @@ async def test_two_processes_cannot_have_one_journal(tmp_path: Path) -> None:
     async with await SqliteJournal.create(path, HEAD):
         with pytest.raises(JournalFileError, match="in use by another panoexec"):
             await SqliteJournal.open(path)
-        with pytest.raises(JournalFileError, match="exists already"):
+        with pytest.raises(JournalFileError, match="already exists"):
             await SqliteJournal.create(path, HEAD)
 
 
 async def test_no_journal(tmp_path: Path) -> None:
     with pytest.raises(JournalFileError, match="there is no journal"):
         await SqliteJournal.open(tmp_path / "journal.sqlite")
-    with pytest.raises(JournalFileError, match="cannot be made"):
+    with pytest.raises(JournalFileError, match="cannot be created"):
         await SqliteJournal.create(tmp_path / "nowhere" / "journal.sqlite", HEAD)
 
 

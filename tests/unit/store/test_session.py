@@ -65,7 +65,7 @@ async def _interrupted(world: World, storage: Path) -> MissionDirectory:
 
     async def stop(session: MissionSession) -> None:
         await _until(world, ev.ShotAccepted, 2)
-        session.mission.verbs.interrupt()
+        session.mission.commands.interrupt()
 
     assert (await _fly(world, stored, stop)).state is S.PAUSED
     return stored.directory

@@ -77,7 +77,7 @@ def test_the_same_index_twice_is_one_photo() -> None:
     assert known(first) == (CAPTURED, 5)
     assert first.known.duplicates == 2
     assert known(second) == ACKNOWLEDGED
-    assert ledger.surplus == 0
+    assert ledger.foreign_photos == 0
 
 
 def test_time_decides_when_a_report_was_lost() -> None:
@@ -110,7 +110,7 @@ def test_a_photo_that_is_not_ours_proves_nothing(exposed_s: float) -> None:
         ledger.report(report(7, 10.2, exposed_s=10.1))
         assert ledger.report(report(8, 10.5, exposed_s=exposed_s)) is None
         assert known(capture) == (CAPTURED, 7)
-    assert ledger.surplus == 1
+    assert ledger.foreign_photos == 1
 
 
 def test_without_time_the_index_decides_once_one_is_known() -> None:
@@ -210,13 +210,13 @@ def test_the_camera_is_asked_for_lost_news_and_may_refuse() -> None:
         began = clock.monotonic()
         asked = []
 
-        async def nudge(capture: Capture) -> None:
+        async def poll(capture: Capture) -> None:
             asked.append(clock.monotonic() - began)
             if len(asked) < 2:
                 raise DeviceError("not answered")
             capture.add(report(5, clock.monotonic()))
 
-        capture = Capture(1, clock=clock, nudge=nudge)
+        capture = Capture(1, clock=clock, poll=poll)
         capture.commanded(began)
         assert (await capture.evidence(CAPTURED, 8.0)).level is CAPTURED
         assert asked == [1.0, 3.0]

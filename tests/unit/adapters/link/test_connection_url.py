@@ -50,7 +50,7 @@ def test_reads_and_translates(text: str, mavsdk: str) -> None:
         ("udpin://0.0.0.0:14540x", "port '14540x'"),
         ("udpin://0.0.0.0:１４", "port"),
         ("udpin://:14540", "host is missing"),
-        ("udpout://0.0.0.0:14540", "listened on but not called"),
+        ("udpout://0.0.0.0:14540", "not to connect to"),
         ("udpout://a b:14540", "not a host"),
         ("serial:///dev/ttyACM0", "baud rate is missing"),
         ("serial://ttyACM0:57600", "not the path of a serial device"),

@@ -65,7 +65,7 @@ def test_a_configuration_names_the_autopilots_place(
 @pytest.mark.parametrize(
     ("ports", "seen"),
     [
-        ([], "there is no serial port at all"),
+        ([], "this machine has no serial port"),
         ([UART], "/dev/ttyAMA0 (not USB)"),
         ([GPS], "/dev/ttyACM3 (1546:01a9, u-blox GNSS)"),
     ],

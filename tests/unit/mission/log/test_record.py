@@ -79,7 +79,7 @@ def test_an_illegal_transition_is_refused(state: MissionState) -> None:
 def test_an_event_that_is_missing_or_comes_twice_is_refused() -> None:
     record = folded(STARTED)
     for seq in (record.seq, record.seq + 2):
-        with pytest.raises(ValueError, match="one is missing or came twice"):
+        with pytest.raises(ValueError, match="an event is missing or duplicated"):
             record.apply(replace(EXPOSED, seq=seq, state=S.CAPTURING))
     assert record.shots[0].attempts[0].exposed is None
 

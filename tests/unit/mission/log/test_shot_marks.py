@@ -14,7 +14,7 @@ from tests.unit.fakes.world import World, a_plan
 def test_a_mission_on_its_way_tells_all_its_shots() -> None:
     async def script(world: World, mission: Mission) -> None:
         await until_event(world, ev.ShotStarted)
-        mission.verbs.skip(4)
+        mission.commands.skip(4)
         noted = 0
         while not mission.record.ended:
             for event in world.sink.events[noted:]:

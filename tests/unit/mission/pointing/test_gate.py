@@ -82,7 +82,7 @@ def test_a_body_frame_pose_needs_the_vehicle_and_an_earth_pose_does_not() -> Non
     for frame in (YawFrame.VEHICLE, YawFrame.BODY):
         assert "vehicle" in read_pose(_sample(level, frame), None, 0.0).problem
         broken = VehicleAttitude(1.0, 1.0, (NAN, 0.0, 0.0, 0.0))
-        assert "not a number" in read_pose(_sample(level, frame), broken, 0.0).problem
+        assert "non-finite attitude" in read_pose(_sample(level, frame), broken, 0.0).problem
 
 
 def test_a_leaning_servo_mount_is_not_taken_for_level() -> None:
@@ -102,7 +102,7 @@ def test_a_pose_that_is_no_number_is_a_problem(q: Quaternion) -> None:
     sample = replace(_sample(np.eye(3)), q_wxyz=q)
     reading = read_pose(sample, None, 0.0)
     assert reading.rotation is None
-    assert "not a number" in reading.problem
+    assert "non-finite attitude" in reading.problem
 
 
 @pytest.mark.parametrize("flag", [1 << bit for bit in range(10)])

@@ -151,8 +151,7 @@ def test_a_mode_in_which_the_vehicle_cannot_be_turned_is_refused_before_anything
     world = fly(TWO_AXES, lambda w: w.vehicle.change(mode="HOLD"))
     assert world.record.state is S.FAILED
     assert world.record.reason == (
-        "4 shots need the vehicle to turn: "
-        "in flight mode HOLD it cannot be turned; change to OFFBOARD (ArduPilot: GUIDED)"
+        "4 shots need the vehicle to turn: it does not turn in flight mode HOLD; change to OFFBOARD (ArduPilot: GUIDED)"
     )
     assert world.vehicle.turns == []
     assert world.gimbal.commands == []
@@ -174,7 +173,7 @@ def test_a_pilot_who_takes_the_mode_away_pauses_it_and_gives_it_back() -> None:
     assert world.record.state is S.COMPLETE
     (paused,) = world.sink.of(ev.MissionPaused)
     assert (paused.code, paused.automatic) == ("turning", True)
-    assert "in flight mode HOLD it cannot be turned" in paused.reason
+    assert "it does not turn in flight mode HOLD" in paused.reason
 
 
 @pytest.mark.parametrize("low_high", [(-40.0, 40.0), (0.0, 0.0)])
@@ -182,7 +181,7 @@ def test_without_leave_to_turn_a_pose_beyond_the_pan_range_is_refused(low_high: 
     low, high = low_high
     world = fly(GimbalLimits(yaw_min_deg=low, yaw_max_deg=high, yaw_endless=False))
     assert world.record.state is S.FAILED
-    assert f"outside the gimbal's {low:g}° to {high:g}° of the nose" in world.record.reason
+    assert f"outside the gimbal's {low:g}° to {high:g}° relative to the heading" in world.record.reason
     assert 'gimbal.yaw = "auto" lets the vehicle turn' in world.record.reason
 
 
@@ -199,7 +198,7 @@ def test_a_vehicle_that_does_not_tell_its_heading_is_refused() -> None:
 
     world = fly(TWO_AXES, deaf)
     assert world.record.state is S.FAILED
-    assert "does not say where its nose points" in world.record.reason
+    assert "the vehicle's heading is unknown" in world.record.reason
 
 
 def test_a_refusal_of_the_vehicle_is_tried_again_and_told() -> None:
@@ -232,25 +231,27 @@ def test_a_correction_waits_until_the_nose_stands_and_is_bounded() -> None:
     async def main() -> None:
         clock = VirtualClock()
         vehicle = FakeVehicle(clock=clock)
-        turner = HeadingController(vehicle=vehicle, clock=clock, turning=TURNING, tolerance_yaw_deg=TOLERANCE.yaw_deg)
-        expected_s = await turner.begin([100.0], TWO_AXES)
+        heading_controller = HeadingController(
+            vehicle=vehicle, clock=clock, turning=TURNING, tolerance_yaw_deg=TOLERANCE.yaw_deg
+        )
+        expected_s = await heading_controller.begin([100.0], TWO_AXES)
         began_s = clock.monotonic()
         while clock.monotonic() < began_s + expected_s + AVERAGED_S - 0.1:
-            turner.note(clock.monotonic(), 4.0)
-            assert not turner.is_off(clock.monotonic()), "still turning, or not yet averaged"
+            heading_controller.note(clock.monotonic(), 4.0)
+            assert not heading_controller.is_off(clock.monotonic()), "still turning, or not yet averaged"
             await clock.sleep(0.02)
-        while not turner.is_off(clock.monotonic()):
-            turner.note(clock.monotonic(), 4.0)
+        while not heading_controller.is_off(clock.monotonic()):
+            heading_controller.note(clock.monotonic(), 4.0)
             await clock.sleep(0.02)
         assert clock.monotonic() < began_s + expected_s + AVERAGED_S + 0.1
-        await turner.correct()
+        await heading_controller.correct()
         assert vehicle.turns[-1][1] == pytest.approx(100.0 - GAIN * 4.0)
-        turner.note(clock.monotonic(), math.nan)
-        assert not turner.is_off(clock.monotonic())
+        heading_controller.note(clock.monotonic(), math.nan)
+        assert not heading_controller.is_off(clock.monotonic())
         vehicle.refusals = 1
-        await turner.correct()
-        assert turner.trim_deg == pytest.approx(-GAIN * 4.0), "nothing was measured since"
-        assert turner.turns == 1
+        await heading_controller.correct()
+        assert heading_controller.trim_deg == pytest.approx(-GAIN * 4.0), "nothing was measured since"
+        assert heading_controller.turns == 1
 
     run_virtual(main())
 

@@ -94,7 +94,7 @@ def test_without_a_fix_no_position_is_claimed(tmp_path: Path) -> None:
     for position in (None, nowhere):
         write_jpeg(tmp_path / "a.jpg", IMAGE, metadata(position=position, flight_yaw_deg=None))
         assert PIL.ExifTags.GPS.GPSLatitude not in read_exif(tmp_path / "a.jpg")[2]
-        assert not [name for name in read_xmp(tmp_path / "a.jpg") if "Latitude" in name or "MissionContext" in name]
+        assert not [name for name in read_xmp(tmp_path / "a.jpg") if "Latitude" in name or "Flight" in name]
 
 
 def test_below_sea_level_and_west(tmp_path: Path) -> None:
