@@ -14,7 +14,7 @@ from panoexec.errors import DeviceError, PanoexecError
 from panoexec.inputs.camera_profiles import configured_profile
 from panoexec.inputs.config import Config
 from panoexec.inputs.plan_options import configured_gimbal, configured_spec
-from panoexec.mission.preflight import attitude_problems, limit_problems, limits_that_hold
+from panoexec.mission.preflight import attitude_problems, effective_limits, limit_problems
 from panoexec.planning.model import GimbalLimits
 
 _PARAMETERS: Final = {"ardupilot": ("MNT1_TYPE",), "px4": ("MNT_MODE_IN", "MNT_MODE_OUT")}
@@ -135,7 +135,7 @@ async def _examine_plan(gimbal: MavsdkGimbal, config: Config, findings: Findings
     """Plan the configured panorama, and see whether this gimbal reaches all of it."""
     try:
         spec = configured_spec(config, configured_profile(config))
-        limits = limits_that_hold(gimbal.limits, configured_gimbal(config))
+        limits = effective_limits(gimbal.limits, configured_gimbal(config))
         spec = replace(spec, constraints=replace(spec.constraints, gimbal=limits))
         plan = await asyncio.to_thread(spec.plan)
     except PanoexecError as error:

@@ -48,10 +48,10 @@ class GuardMonitor:
         status = context.vehicle.status
         if status.boot_count != self._boots:
             self._boots = status.boot_count
-            flight.recorder.emit(ev.Warned(code="reboot", text="the autopilot has rebooted"))
-        anchor(flight)
-        flight.gimbal.feed.ingest()
-        sample = flight.gimbal.feed.latest
+            context.recorder.emit(ev.Warned(code="reboot", text="the autopilot has rebooted"))
+        update_reference_frame(context)
+        context.gimbal.feed.ingest()
+        sample = context.gimbal.feed.latest
         situation = Situation(
             now_s=now,
             vehicle=status,

@@ -96,7 +96,7 @@ def preflight_problems(
         return ["no heartbeat from the autopilot: check the link"]
     problems = []
     if settings.feedback != "none":
-        silence_s = max(guards.attitude_silence_s, LEISURELY_S)
+        silence_s = max(guards.attitude_silence_s, IDLE_SILENCE_S)
         gimbal.feed.ingest()
         problems += attitude_problems(gimbal.feed.latest, now_s=now_s, silence_s=silence_s)
     turn = reference_yaw_north_deg - status.heading_deg

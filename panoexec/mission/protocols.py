@@ -51,7 +51,7 @@ class ReportsPhotos(Protocol):
 
 
 @runtime_checkable
-class PhotoMemory(Protocol):
+class PhotoRecall(Protocol):
     """A camera that remembers what it took: settles a photo that was in flight when the process died."""
 
     @property

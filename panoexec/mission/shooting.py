@@ -165,10 +165,10 @@ class Shooting:
         by: str,
     ) -> None:
         """Wait for what is missing for a verdict on an exposure, evidence first; then it counts or is taken again."""
-        settings = self._flight.settings
+        settings = self._context.settings
         captures, verdict = exposure.captures, exposure.verdict
         wanted = settings.min_evidence
-        if isinstance(self._flight.camera, ReportsPhotos) and self._flight.camera.reports_photos:
+        if isinstance(self._context.camera, ReportsPhotos) and self._context.camera.reports_photos:
             wanted = max(wanted, EvidenceLevel.CAPTURE_MESSAGE)  # its report also dates the exposure
         try:
             proven = await evidence.gather(photos, captures, at_least=wanted, timeout_s=settings.evidence_s)
@@ -182,7 +182,7 @@ class Shooting:
                 self._reject(shot, number, "evidence", reason, proven)
             elif code:
                 self._reject(shot, number, code, why, proven)
-            elif by == "overlap" and not await overlaps_hold(self._flight, shot, verdict.measured):
+            elif by == "overlap" and not await overlaps_hold(self._context, shot, verdict.measured):
                 reason = f"{verdict.reason}, and the overlaps would not hold with it"
                 self._reject(shot, number, verdict.code, reason, proven)
             else:
@@ -196,7 +196,7 @@ class Shooting:
 
     async def _date_speaks_against(self, index: int, exposure: Exposure) -> tuple[str, str]:
         """Code and reason if the photos may be others, or were exposed when the pose was wrong; else ("", "")."""
-        shot = self._flight.record.shots[index].shot
+        shot = self._context.record.shots[index].shot
         found = await self._learn_lag(exposure.captures)
         for one, capture in zip(found, exposure.captures, strict=True):
             verdict = await self.shooter.judge_date(shot, one, capture.commanded_s, exposure)
@@ -212,7 +212,7 @@ class Shooting:
         found = [await capture.evidence(EvidenceLevel.COMMANDED, 0.0) for capture in captures]
         for one, capture in zip(found, captures, strict=True):
             if text := self.shooter.lag.note(one, capture.commanded_s):
-                self._flight.recorder.emit(ev.Warned(code="latency", text=text))
+                self._context.recorder.emit(ev.Warned(code="latency", text=text))
         return found
 
     async def _identify(

@@ -43,7 +43,7 @@ _SURE_S: Final = 0.25
 """A date that may be wrong by more than this does not decide against the index."""
 _HELD_S: Final = 3.0
 """How long a report that fits no trigger waits for the camera's clock to be related anew."""
-_FIRST_NUDGE_S: Final = 1.0
+_FIRST_POLL_S: Final = 1.0
 
 _log = structlog.get_logger(__name__)
 
@@ -88,7 +88,7 @@ class Capture:
         number: int,
         *,
         clock: Clock,
-        nudge: Callable[[Capture], Awaitable[None]] | None = None,
+        poll: Callable[[Capture], Awaitable[None]] | None = None,
         synchronise: Callable[[], Awaitable[None]] | None = None,
         final: bool = False,
     ) -> None:
@@ -97,7 +97,7 @@ class Capture:
         Args:
             number: sequence number of the trigger.
             clock: of the mission.
-            nudge: asks the camera for news, if it can be asked.
+            poll: asks the camera for news, if it can be asked.
             synchronise: asks the camera for a stamp of its clock, if the last one is old.
             final: nothing can ever become known of the photo.
         """
@@ -107,7 +107,7 @@ class Capture:
         self.failed = False
         """A sender reported that no photo was taken."""
         self._clock = clock
-        self._nudge = nudge
+        self._poll = poll
         self._synchronise = synchronise
         self._final = final
         self._commanded_s = self._acknowledged_s = math.nan
@@ -188,13 +188,13 @@ class Capture:
 
     async def _ask(self) -> None:
         """A report may have been lost on the way: ask, with growing patience."""
-        patience_s = _FIRST_NUDGE_S
+        patience_s = _FIRST_POLL_S
         if self._synchronise is not None:
             try:
                 await self._synchronise()
             except DeviceError as error:
                 _log.debug("camera clock request failed", number=self.number, error=str(error))
-        while self._nudge is not None:
+        while self._poll is not None:
             await self._clock.sleep(patience_s)
             patience_s *= 2
             try:
@@ -220,7 +220,7 @@ class Capture:
             longitude_deg=reported(best.longitude_deg, other.longitude_deg),
             altitude_m=reported(best.altitude_m, other.altitude_m),
             duplicates=old.duplicates,
-            exposed_s=told(best.exposed_s, other.exposed_s),
+            exposed_s=reported(best.exposed_s, other.exposed_s),
             exposed_error_s=other.exposed_error_s if math.isnan(best.exposed_s) else best.exposed_error_s,
             contradiction=old.contradiction,
         )
@@ -238,7 +238,7 @@ class CaptureMatcher:
         self._clock = clock or CameraClock()
         self._held: list[Report] = []
         self._latencies_s: deque[float] = deque(maxlen=_LATENCIES)
-        self.surplus = 0
+        self.foreign_photos = 0
         """Photos that were reported but not triggered by us."""
         self._captures: deque[Capture] = deque(maxlen=_KEEP)
         self._seen: dict[tuple[Source, int], tuple[Report, Capture | None]] = {}
@@ -314,7 +314,7 @@ class CaptureMatcher:
             self._last_match[report.source] = (capture.number, report.index)
             capture.add(report)
             return capture
-        self.surplus += 1
+        self.foreign_photos += 1
         _log.warning("a photo that was not asked for", source=report.source, index=report.index)
         number, index = self._last_match.get(report.source, (-1, -1))
         if number >= 0 and report.index > index:  # the next photo of ours has an index beyond it

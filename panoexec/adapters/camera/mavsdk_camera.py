@@ -120,7 +120,7 @@ class MavsdkCamera:
         self._listed: dict[int, Information] = {}
         self._list_changed = asyncio.Event()
         self._stamps = CameraClock()
-        self._ledger = CaptureMatcher(self._stamps)
+        self._matcher = CaptureMatcher(self._stamps)
         self._synchronised_s = -math.inf
         self._storages: dict[int, float] = {}
         self._numbers = 0
@@ -244,7 +244,7 @@ class MavsdkCamera:
             self._numbers += 1
             if math.isnan(self._first_trigger_s):
                 self._first_trigger_s = clock.monotonic()
-            capture = Capture(self._numbers, clock=clock, nudge=self._ask_for_news, synchronise=self._synchronise)
+            capture = Capture(self._numbers, clock=clock, poll=self._poll_status, synchronise=self._synchronise)
             capture.commanded(clock.monotonic())
             self._matcher.enter(capture)
 
@@ -275,8 +275,8 @@ class MavsdkCamera:
         unreported_s = self._link.clock.monotonic() - self._first_trigger_s
         return self._last_index >= 0 or not unreported_s > _FIRST_REPORT_S
 
-    async def recall(self) -> Recollection:
-        """See `PhotoMemory.recall`: for a mission that goes on, before it takes a photo of its own."""
+    async def recall(self) -> RecalledPhotos:
+        """See `PhotoRecall.recall`: for a mission that goes on, before it takes a photo of its own."""
         found = await self.discover()
         self._recalling = True
         try:
@@ -366,7 +366,7 @@ class MavsdkCamera:
         """Relate the camera's clock to ours by a message that was stamped when it was sent."""
         self._synchronised_s = received_s
         self._stamps.note(stamp_s, received_s)
-        self._ledger.redate(self._link.clock.monotonic())
+        self._matcher.redate(self._link.clock.monotonic())
 
     async def _synchronise(self) -> None:
         """Ask for a message that is stamped when it is sent, if the last one is old."""
@@ -402,7 +402,7 @@ class MavsdkCamera:
             if self._stamps.suspicious:
                 await link.requests.command(REQUEST_MESSAGE, [CAPTURE_STATUS], component=target)
         finally:
-            self._ledger.redate(link.clock.monotonic())
+            self._matcher.redate(link.clock.monotonic())
         images = int(status.fields["image_count"])
         if target != AUTOPILOT and images > 0:
             index = self._last_index + 1 if self._last_index >= 0 else images - 1

@@ -161,7 +161,7 @@ class PoseReader:
     def since(self, since_s: float) -> list[Reading]:
         """Readings of all samples that arrived after `since_s`, oldest first; ingests what has arrived."""
         self._feed.ingest()
-        self._read_on(since_s)
+        self._read_new(since_s)
         newer = []
         for reading in reversed(self._readings):
             if reading.time_s <= since_s:

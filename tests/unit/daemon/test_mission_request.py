@@ -11,7 +11,7 @@ from panoexec.inputs.camera_profiles import load_profile
 from panoexec.inputs.config import Config
 from panoexec.inputs.plan_file import plan_to_data
 from panoexec.inputs.plan_options import configured_gimbal
-from panoexec.mission.preflight import limits_that_hold
+from panoexec.mission.preflight import effective_limits
 from panoexec.mqtt.requests import PlanRequest, RefusedRequestError
 from panoexec.planning.baselines.published import published_plan
 from panoexec.planning.model import AngleBox, Band, GimbalLimits, Tolerance

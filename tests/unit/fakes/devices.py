@@ -327,7 +327,7 @@ class FakeCamera:
     def reports_photos(self) -> bool:
         return self.dates
 
-    async def recall(self) -> Recollection:
+    async def recall(self) -> RecalledPhotos:
         await self.clock.sleep(0.02)
         if self.memory_fails > 0:
             self.memory_fails -= 1

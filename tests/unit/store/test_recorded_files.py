@@ -21,7 +21,7 @@ from panoexec.inputs.plan_file import camera_to_data, certificate_to_data, plan_
 from panoexec.mission.log.events import Event
 from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.settings import MissionSettings
-from panoexec.mission.verifier import certify_flown
+from panoexec.mission.verifier import certify_measured
 from panoexec.planning.certificate.verdict import certify
 from panoexec.planning.make_plan import finished
 from panoexec.planning.model import Certificate, Estimate, Plan, Timing
@@ -153,7 +153,7 @@ def test_the_manifest_can_be_written_anew_from_plan_and_journal(mission: Mission
         record=record,
         vehicle=recorded["vehicle"],
         clock=SystemClock(),
-        certificate=lambda: certify_flown(replace(plan, certificate=certificate), rotations, rows),
+        certificate=lambda: certify_measured(replace(plan, certificate=certificate), rotations, rows),
     )
     written = json.loads(writer.text())
     for document in (recorded, written):

@@ -154,7 +154,7 @@ def test_a_contradiction_is_never_resolved_by_a_count() -> None:
     assert "photo 5" in capture.known.contradiction
     matcher.counted(12, 14.1)
     assert capture.known.level is EvidenceLevel.COMMANDED
-    assert matcher.surplus == 1
+    assert matcher.foreign_photos == 1
     # its own report settles it
     evidence = CaptureEvidence(level=CAPTURED, received_s=14.4, image_index=6, exposed_vehicle_s=10.1)
     assert matcher.report(dated(Report(source=Source.CAPTURED, evidence=evidence), *clock.date(10.1, 14.4))) is capture
