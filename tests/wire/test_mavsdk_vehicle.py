@@ -148,7 +148,7 @@ async def test_the_pilot_is_told(autopilot: ScriptedPeer, link: MavsdkLink) -> N
 
     async with MavsdkVehicle(link) as vehicle:
         voice = PilotMessenger(vehicle=vehicle, record=record)
-        speaking = asyncio.create_task(voice.run(), name="words to the pilot")
+        speaking = asyncio.create_task(voice.run(), name="pilot messages")
         for event in happened:
             voice.publish(event)
         await autopilot.until(lambda: len(told()) == 6, 20)

@@ -60,4 +60,4 @@ def test_a_damaged_manifest_ends_with_2_and_one_line(
 
 def test_no_mission(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["report", str(tmp_path)]) == 2
-    assert "holds no mission" in capsys.readouterr().err
+    assert "not a mission directory" in capsys.readouterr().err

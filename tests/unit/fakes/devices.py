@@ -239,7 +239,7 @@ class FakeGimbal:
             self.refusals -= 1
             raise DeviceError("the gimbal refused the angles")
         if not self.in_control:
-            raise DeviceError("the gimbal is not ours")
+            raise DeviceError("gimbal control was lost")
         now = self.clock.monotonic()
         self.commands.append((now, pitch_deg, math.nan if yaw_deg is None else yaw_deg))
         if self.stuck:

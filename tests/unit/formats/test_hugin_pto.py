@@ -60,11 +60,11 @@ def test_horizon_lines_are_not_control_points() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no Hugin project"),
-        ("p f2 w100 h50 v360\n", "no Hugin project"),
+        ("", "not a Hugin project"),
+        ("p f2 w100 h50 v360\n", "not a Hugin project"),
         ('p f0 w100 h50 v90\ni w10 h10 f0 v50 r0 p0 y0 n"a"\n', "equirectangular"),
-        ('p f2 w100 h50 v360\ni w10 h10 f0 v50 r0 p0 n"a"\n', "makes no sense"),
-        ('p f2 w100 h50 v360\ni w10 h10 f0 r0 p0 y0 n"a"\n', "makes no sense"),
+        ('p f2 w100 h50 v360\ni w10 h10 f0 v50 r0 p0 n"a"\n', "invalid line"),
+        ('p f2 w100 h50 v360\ni w10 h10 f0 r0 p0 y0 n"a"\n', "invalid line"),
     ],
 )
 def test_other_files_are_refused(text: str, message: str) -> None:
