@@ -91,7 +91,7 @@ def test_drift_is_rejected_with_a_reason_and_retaken_on_px4_too(tmp_path: Path) 
         (("--camera", "no-such-camera"), 2, "no-such-camera"),
         (("--overlap", "1.2"), 2, "1.2"),
         (("--overlap", "15"), 2, "0.15"),
-        (("--elevation", "30", "-90"), 2, "upside down"),
+        (("--elevation", "30", "-90"), 2, "reversed"),
         (("--speedup", "0"), 2, "--speedup 0: accepted is more than 0"),
         (("--speedup", "-3"), 2, "--speedup -3: accepted is more than 0"),
         (("--speedup", "nan"), 2, "--speedup nan: accepted is more than 0"),

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from panoexec.angles import rotation
-from panoexec.planning.certificate.adjacency import Rows, apart_by_mask, connection
+from panoexec.planning.certificate.adjacency import Rows, connection, separated_by_mask
 from panoexec.planning.geometry.domain import Domain
 from panoexec.planning.model import AngleBox, Band
 from tests.unit.planning.brute import full_circle
@@ -118,5 +118,5 @@ def test_an_image_that_meets_nobody_of_the_next_row_is_still_listed() -> None:
 def test_a_mask_parts_images_only_where_it_hides_all_between(from_deg: float, to_deg: float, apart: bool) -> None:
     mask = AngleBox(elevation_min_deg=-20.0, elevation_max_deg=0.0, azimuth_min_deg=28.0, azimuth_max_deg=60.0)
     domain = Domain.of(full_circle(-90.0, 30.0), (mask,))
-    assert apart_by_mask(domain, -10.0, from_deg, to_deg) == apart
-    assert not apart_by_mask(domain, 10.0, from_deg, to_deg)
+    assert separated_by_mask(domain, -10.0, from_deg, to_deg) == apart
+    assert not separated_by_mask(domain, 10.0, from_deg, to_deg)

@@ -13,7 +13,7 @@ from panoexec.angles import rotation, yaw_pitch_roll
 from panoexec.optics import Camera
 from panoexec.planning.certificate.worst_overlap import (
     ErrorCorners,
-    surely_overlap,
+    overlaps_at_least,
     worst_pair_overlaps,
     worst_union_overlaps,
 )
@@ -63,7 +63,7 @@ def test_no_errors_make_a_pair_overlap_less(
     errors = taken(pair, tolerance, 400, seed)
     assert bound <= pairwise_overlap(camera, errors[:, 0], errors[:, 1]).min() + 1e-12
     for least in (bound + 1e-9, 0.05):
-        if surely_overlap(corners, ONE, OTHER, least)[0]:
+        if overlaps_at_least(corners, ONE, OTHER, least)[0]:
             assert bound >= least - 1e-12, "the rough bound promises more than the close one"
 
 
@@ -171,4 +171,4 @@ def test_padding_adds_nothing() -> None:
 def test_images_that_do_not_meet_share_nothing() -> None:
     corners = ErrorCorners.of(SCENARIO_2, rotation([0.0, 90.0], [0.0, 0.0]), PAPER)
     assert worst_pair_overlaps(corners, ONE, OTHER) == [0.0]
-    assert not surely_overlap(corners, ONE, OTHER, 1e-6)[0]
+    assert not overlaps_at_least(corners, ONE, OTHER, 1e-6)[0]

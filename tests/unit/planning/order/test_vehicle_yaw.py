@@ -16,7 +16,7 @@ from panoexec.planning.baselines.grid import check_reachable
 from panoexec.planning.model import GimbalLimits, Shot, Timing, Turning
 from panoexec.planning.order.duration import estimate, slew_time_s, turn_times_s
 from panoexec.planning.order.shot_order import order_shots
-from panoexec.planning.order.vehicle_yaw import PanReach, heading_for, headings_deg, stations
+from panoexec.planning.order.vehicle_yaw import PanReach, heading_for, heading_groups, headings_deg
 
 TURNING = Turning()
 TWO_AXES = GimbalLimits(yaw_min_deg=0.0, yaw_max_deg=0.0, yaw_endless=False, turning=TURNING)
@@ -75,7 +75,7 @@ def test_every_shot_is_reached_from_the_heading_found_for_it(
 @settings(max_examples=60)
 @given(yaws=st.lists(st.integers(-18, 17).map(lambda k: 10.0 * k), min_size=1, max_size=7), half=HALVES)
 def test_stations_hold_each_shot_once_and_no_division_has_fewer(yaws: list[float], half: float) -> None:
-    groups = stations(yaws, PanReach(centre_deg=0.0, half_deg=half))
+    groups = heading_groups(yaws, PanReach(centre_deg=0.0, half_deg=half))
     assert sorted(int(i) for group in groups for i in group) == list(range(len(yaws)))
     for group in groups:
         assert (yaws[group[-1]] - yaws[group[0]]) % 360.0 <= 2 * half + 0.011
@@ -102,7 +102,7 @@ def test_the_fastest_order_makes_the_fewest_turns_and_goes_once_round(limits: Gi
     found = turns(ordered, limits)
     others = [turns(order_shots(shots, limits, Timing(), order=o), limits) for o in ("rows", "columns", "nadir-first")]
     assert found <= min(others)
-    distinct = len(stations([s.yaw_deg for s in shots], PanReach.of(limits)))
+    distinct = len(heading_groups([s.yaw_deg for s in shots], PanReach.of(limits)))
     assert found == distinct - 1 <= fewest
     headings = headings_deg([s.yaw_deg for s in ordered], limits)
     assert float(np.abs(wrap_180(np.diff(headings))).sum()) <= 360.0

@@ -194,7 +194,7 @@ def test_gimbal_limits_are_kept() -> None:
         (
             LONG,
             replace(asked(-90, 20), gimbal=GimbalLimits(yaw_min_deg=-160, yaw_max_deg=160, yaw_endless=False)),
-            r"pans from -160 to 160°.*bridge 40°.*18\.5",
+            r"pans from -160 to 160°.*gap of 40°.*18\.5",
         ),
         (
             Camera.from_fov(8, 3),
@@ -202,9 +202,9 @@ def test_gimbal_limits_are_kept() -> None:
             r"pitch must stay below 1\.5°",
         ),
         (WIDE, asked(-90, 50, overlap=1.2), "overlap 1.2"),
-        (WIDE, asked(20, 10), "upside down"),
-        (WIDE, asked(-90, 90, overlap=0.98), r"in about 2500 images, 2400 more"),
-        (WIDE, asked(-90, 90, overlap=0.9999), "takes more than 5000 images in one row"),
+        (WIDE, asked(20, 10), "reversed"),
+        (WIDE, asked(-90, 90, overlap=0.98), r"in about 2500 images, 2400 above"),
+        (WIDE, asked(-90, 90, overlap=0.9999), "needs more than 5000 images in one row"),
         (WIDE, replace(asked(-90, 30), masks=WHOLE_BAND), "masks leave nothing"),
     ],
     ids=["pitch high", "pitch low", "pan", "tolerance", "overlap", "band", "dense", "too many", "masks"],
