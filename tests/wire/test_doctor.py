@@ -94,7 +94,7 @@ async def test_a_sound_vehicle_is_found_whole(tmp_path: Path) -> None:
     assert found(document, "mission", "plan")["found"].startswith("18 images")
     assert "MQTT 5" in found(document, "broker", "connection")["found"]
     assert found(document, "broker", "answers")["verdict"] == "ok"
-    assert " UTC, ours is " in found(document, "clock", "vehicle")["found"]
+    assert " UTC, this computer is " in found(document, "clock", "vehicle")["found"]
 
 
 async def poor_vehicle(folder: Path) -> Findings:
@@ -145,8 +145,8 @@ async def test_what_is_poor_taken_or_wrong_is_told_with_what_to_set(tmp_path: Pa
     assert "MNT_MODE_OUT = 2" in found(document, "gimbal", "found")["found"]
     control = found(document, "gimbal", "control")
     assert control["verdict"] == "warning"
-    assert "system 255 component 190 has it; it was left there" in control["found"]
-    assert found(document, "camera", "storage")["found"] == "room for 8 photos"
+    assert "system 255 component 190 has it; not taken from it" in control["found"]
+    assert found(document, "camera", "storage")["found"] == "space for 8 photos"
     assert found(document, "camera", "profile")["verdict"] == "warning"
 
 
