@@ -18,7 +18,7 @@ from typing import Final, Protocol
 
 from panoexec.adapters.link.message_hub import Handler, MavMessage
 from panoexec.clock import RESOLUTION_S, VehicleClock
-from panoexec.sim.pacing import TIME_COMPONENT, TIME_MESSAGE, TIME_NAME, told_time_s
+from panoexec.sim.pacing import TIME_COMPONENT, TIME_MESSAGE, TIME_NAME, time_from_fields
 
 Allow = Callable[[float, float], None]
 """Lets simulated time go on: until when, and how fast (`SimulatorProcess.allow`)."""
@@ -96,7 +96,7 @@ class Lockstep:
         fields = message.fields
         if message.component_id == TIME_COMPONENT and str(fields["name"]).rstrip("\0") == TIME_NAME:
             self._told += 1
-            self._clock.tell(told_time_s(int(fields["time_boot_ms"]), int(fields["value"])))
+            self._clock.tell(time_from_fields(int(fields["time_boot_ms"]), int(fields["value"])))
 
     def _look(self) -> None:
         """Somebody is to be woken, or the vehicle to be let go on; from any thread."""

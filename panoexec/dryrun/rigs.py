@@ -98,7 +98,7 @@ class EmbeddedVehicle:
         (port,) = free_udp_ports(1)
         config = replace(self.simulation, host=HOST, port=port, listen=False, attach_url=None, output=images)
         about = {"autopilot": config.autopilot, "simulated": "embedded", "seed": config.seed}
-        async with running_simulator(config, note=note, leashed=True) as simulator, _watching(_watch(simulator)):
+        async with running_simulator(config, note=note, paced=True) as simulator, _watching(_watch(simulator)):
             yield Rig(connection=f"udpin://{HOST}:{port}", allow=simulator.allow, about=about)
 
 

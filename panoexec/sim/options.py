@@ -1,4 +1,4 @@
-"""The command-line options of the simulated vehicle, for `panoexec simulate` and `python -m panoexec.sim` alike."""
+"""Command-line options of the simulated vehicle, for `panoexec simulate` and `python -m panoexec.sim`."""
 
 from __future__ import annotations
 
@@ -16,77 +16,79 @@ _MAX_SPEEDUP = 100.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare all options but the camera's."""
+    """Add all options except those of the camera."""
     add_link_arguments(parser)
-    parser.add_argument("--output", type=Path, metavar="DIR", help="where photos and truth.jsonl go (no photos)")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="directory for photos and truth.jsonl (no photos)")
     parser.add_argument("--on-ground", action="store_true", help="start disarmed on the ground instead of hovering")
     add_vehicle_arguments(parser)
 
 
 def add_link_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare how the simulated vehicle is reached."""
+    """Add the options of the link."""
     link = parser.add_argument_group("link")
     link.add_argument(
         "--port",
         type=int,
         metavar="N",
-        help="UDP port that MAVSDK or a ground station listens on (14540 and 14550); with --listen the port to wait on",
+        help="UDP port of MAVSDK or a ground station (14540 and 14550); with --listen the port to listen on",
     )
-    link.add_argument("--host", default="127.0.0.1", help="where that port is (127.0.0.1)")
-    link.add_argument("--listen", action="store_true", help="wait on the port for a client, instead of sending to it")
+    link.add_argument("--host", default="127.0.0.1", help="host of that port (127.0.0.1)")
+    link.add_argument("--listen", action="store_true", help="listen on the port for a client instead of sending to it")
     link.add_argument(
-        "--attach", metavar="URL", help="only the payload, joined to a real autopilot: tcp:HOST:PORT, udpout:…, udpin:…"
+        "--attach", metavar="URL", help="payload only, on a real autopilot: tcp:HOST:PORT, udpout:…, udpin:…"
     )
 
 
 def add_vehicle_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what is simulated."""
+    """Add the options of the vehicle and the world."""
     vehicle = parser.add_argument_group("simulated vehicle")
-    vehicle.add_argument("--autopilot", choices=("ardupilot", "px4"), default="ardupilot", help="whose habits to show")
+    vehicle.add_argument(
+        "--autopilot", choices=("ardupilot", "px4"), default="ardupilot", help="autopilot to emulate (ardupilot)"
+    )
     vehicle.add_argument(
         "--mount",
         choices=("mavlink", "servo"),
         default="mavlink",
-        help="a MAVLink gimbal that measures itself, or servos whose demanded angles are reported",
+        help="a MAVLink gimbal with measured angles, or servos with demanded angles as feedback (mavlink)",
     )
     vehicle.add_argument(
         "--trigger",
         choices=("mavlink", "servo"),
         default="mavlink",
-        help="a MAVLink camera, or a trigger on the autopilot whose only proof is CAMERA_FEEDBACK",
+        help="a MAVLink camera, or a trigger on the autopilot with CAMERA_FEEDBACK as evidence (mavlink)",
     )
     vehicle.add_argument("--wind", type=float, metavar="M_S", help="steady wind in m/s (2)")
     world = parser.add_argument_group("simulated world")
-    world.add_argument("--scene", type=Path, metavar="EQUIRECT.jpg", help="what there is to see (generated)")
-    world.add_argument("--seed", type=int, default=1, metavar="N", help="of everything random (1)")
-    world.add_argument("--speedup", type=float, default=1.0, metavar="N", help="simulated seconds a second (1)")
+    world.add_argument("--scene", type=Path, metavar="EQUIRECT.jpg", help="equirectangular scene image (generated)")
+    world.add_argument("--seed", type=int, default=1, metavar="N", help="random seed (1)")
+    world.add_argument("--speedup", type=float, default=1.0, metavar="N", help="simulated seconds per second (1)")
     world.add_argument(
         "--fault",
         action="append",
         default=[],
         metavar="NAME[=VALUE]",
-        help=f"what goes wrong, repeatable: {', '.join(sorted(FAULTS))}; VALUE: docs/simulator.md",
+        help=f"fault to inject, repeatable: {', '.join(sorted(FAULTS))}; VALUE: docs/simulator.md",
     )
-    world.add_argument("--image-width", type=int, default=800, metavar="PX", help="of the photos written (800)")
+    world.add_argument("--image-width", type=int, default=800, metavar="PX", help="width of the written photos (800)")
     world.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="NAME=VALUE",
         dest="assignments",
-        help="any other number, repeatable, like gimbal.yaw.rate_deg_s=45 (docs/simulator.md)",
+        help="any other parameter, repeatable, for example gimbal.yaw.rate_deg_s=45 (docs/simulator.md)",
     )
 
 
 def config_of(args: argparse.Namespace, camera: CameraConfig | None = None) -> SimConfig:
-    """The configuration that the options name.
+    """The configuration for parsed options.
 
     Args:
         args: parsed options of `add_arguments`.
         camera: from a profile; None for the default camera.
 
     Raises:
-        UsageError: a value that means nothing.
+        UsageError: an invalid value.
     """
     config = SimConfig(
         host=args.host,
@@ -107,7 +109,7 @@ def config_of(args: argparse.Namespace, camera: CameraConfig | None = None) -> S
     assignments = [f"camera.render_width_px={width}"]
     if args.wind is not None:
         if not (0 <= args.wind <= 30):
-            raise UsageError(f"--wind {args.wind}: accepted are 0 to 30 m/s")
+            raise UsageError(f"--wind {args.wind}: expected 0 to 30 m/s")
         assignments.append(f"airframe.wind_m_s={args.wind}")
     if args.on_ground:
         assignments.append("airframe.in_air=false")
@@ -115,22 +117,22 @@ def config_of(args: argparse.Namespace, camera: CameraConfig | None = None) -> S
 
 
 def checked_speedup(speedup: float) -> float:
-    """The speed-up, if it is one.
+    """The speed-up, if it is valid.
 
     Raises:
         UsageError: not above 0 and at most 100.
     """
     if not (0 < speedup <= _MAX_SPEEDUP and math.isfinite(speedup)):
-        raise UsageError(f"--speedup {speedup:g}: accepted is more than 0 and at most {_MAX_SPEEDUP:g}")
+        raise UsageError(f"--speedup {speedup:g}: expected more than 0 and at most {_MAX_SPEEDUP:g}")
     return speedup
 
 
 def camera_of(optics: Camera, *, interval_s: float, exposure_s: float) -> CameraConfig:
-    """A simulated camera with a profile's optics and timing."""
+    """A simulated camera with the optics and timing of a profile."""
     return CameraConfig(optics=optics, interval_s=interval_s, exposure_s=exposure_s)
 
 
 def _within(value: int, low: int, high: int, option: str) -> int:
     if not low <= value <= high:
-        raise UsageError(f"{option} {value}: accepted are {low} to {high}")
+        raise UsageError(f"{option} {value}: expected {low} to {high}")
     return value

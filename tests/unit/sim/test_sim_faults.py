@@ -54,7 +54,7 @@ def test_every_fault_that_was_asked_for_is_there_and_can_be_named_alone() -> Non
         ("battery-low=30,x0.1", FaultSpec(name="battery-low", size=0.1, spans=((30.0, 35.0),))),
     ],
 )
-def test_values_say_when_and_how_much(text: str, spec: FaultSpec) -> None:
+def test_values_give_times_and_size(text: str, spec: FaultSpec) -> None:
     assert parse_fault(text) == spec
 
 
@@ -63,16 +63,16 @@ def test_values_say_when_and_how_much(text: str, spec: FaultSpec) -> None:
     [
         ("gimbal-stuk", r"unknown fault 'gimbal-stuk'; known are attitude-frozen, .*gimbal-stuck"),
         ("=3", "unknown fault ''"),
-        ("link-loss=soon", "cannot read 'soon'; accepted are a probability below 1 like 0.3, seconds START"),
-        ("link-loss=x3", "cannot read 'x3'"),
-        ("link-loss=#3", "cannot read '#3'"),
-        ("photo-lost=7", "cannot read '7'; .*photo numbers like #3"),
-        ("drift=t3", "cannot read 't3'; .*a size in deg like x2"),
-        ("drift=#0", "cannot read '#0'"),
-        ("drift=-1", "cannot read '-1'"),
+        ("link-loss=soon", "invalid part 'soon'; expected a probability below 1 like 0.3, or seconds START"),
+        ("link-loss=x3", "invalid part 'x3'"),
+        ("link-loss=#3", "invalid part '#3'"),
+        ("photo-lost=7", "invalid part '7'; .*photo numbers like #3"),
+        ("drift=t3", "invalid part 't3'; .*a size in deg like x2"),
+        ("drift=#0", "invalid part '#0'"),
+        ("drift=-1", "invalid part '-1'"),
     ],
 )
-def test_what_means_nothing_is_refused_with_what_would(text: str, complaint: str) -> None:
+def test_invalid_values_are_rejected_with_the_accepted_forms(text: str, complaint: str) -> None:
     with pytest.raises(UsageError, match=complaint) as caught:
         parse_fault(text)
     assert "\n" not in str(caught.value)

@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 
 from panoexec.sim.config import CameraConfig
-from panoexec.sim.physics.camera import CameraModel, Exposure, Look, Refusal
+from panoexec.sim.physics.camera import CameraModel, Exposure, GimbalState, Refusal
 from panoexec.sim.physics.gimbal import Angles
 from panoexec.sim.physics.world import Timeline
 
@@ -22,9 +22,9 @@ class Bench:
         self.exposures: list[Exposure] = []
         self.camera = CameraModel(config, self.timeline, look=self._look, on_exposed=self.exposures.append)
 
-    def _look(self) -> Look:
+    def _look(self) -> GimbalState:
         now = Angles(self.timeline.now_s, 0.0, 0.0)
-        return Look(truth=now, estimate=now, measured=now)
+        return GimbalState(truth=now, estimate=now, measured=now)
 
 
 def test_it_opens_after_its_latency_for_the_exposure_and_looks_all_the_while() -> None:
@@ -60,8 +60,8 @@ def test_on_a_clock_of_a_coarse_grain_a_little_too_early_is_in_time() -> None:
     timeline = Timeline()
     now = Angles(0.0, 0.0, 0.0)
     camera = CameraModel(
-        CONFIG, timeline, look=lambda: Look(truth=now, estimate=now, measured=now), on_exposed=lambda _: None,
-        grain_s=0.05,
+        CONFIG, timeline, look=lambda: GimbalState(truth=now, estimate=now, measured=now), on_exposed=lambda _: None,
+        time_resolution_s=0.05,
     )  # fmt: skip
     assert camera.shoot() is None
     timeline.run_until(0.9)
