@@ -84,13 +84,13 @@ def test_a_binary_is_taken_from_the_option_or_the_environment(tmp_path: Path, mo
 
 @pytest.mark.parametrize(
     ("name", "problem"),
-    [("missing", "no such file"), ("folder", "is no file"), ("plain", "no executable"), ("vehicle.py", "a script")],
+    [("missing", "no such file"), ("folder", "not a file"), ("plain", "not executable"), ("vehicle.py", "a script")],
 )
 def test_what_is_no_binary_is_refused_by_name(tmp_path: Path, name: str, problem: str) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "plain").touch()
     program(tmp_path / "vehicle.py", "")
-    with pytest.raises(UsageError, match=f"{name}: .*{problem}.*accepted is") as caught:
+    with pytest.raises(UsageError, match=f"{name}: .*{problem}.*expected") as caught:
         sitl_binary(str(tmp_path / name))
     assert caught.value.exit_code == 2
 
@@ -137,11 +137,11 @@ async def test_it_is_killed_if_it_does_not_want_to_end(tmp_path: Path, monkeypat
     ("text", "words"),
     [
         ("print('panic: no frame'); raise SystemExit(3)", r"exit code 3\).*panic: no frame"),
-        ("import os; os.kill(os.getpid(), 11)", r"signal 11\).*said nothing"),
+        ("import os; os.kill(os.getpid(), 11)", r"signal 11\).*without output"),
         ("", r"exit code 0"),
     ],
 )
-async def test_an_early_end_is_told_with_its_last_words(tmp_path: Path, text: str, words: str) -> None:
+async def test_unexpected_exit_reports_the_last_output_line(tmp_path: Path, text: str, words: str) -> None:
     async with running_sitl(options(program(tmp_path / "sitl", text))) as sitl:
         with pytest.raises(DeviceError, match=words):
             await asyncio.wait_for(sitl.watch(), 10)
@@ -152,7 +152,7 @@ async def test_a_file_that_cannot_run_here_is_a_usage_error(tmp_path: Path) -> N
     foreign.write_bytes(b"\x7fELF no program of this machine")
     foreign.chmod(0o755)
     async with running_sitl(options(foreign)) as sitl:
-        with pytest.raises(UsageError, match="cannot be run"):
+        with pytest.raises(UsageError, match="cannot be executed"):
             await asyncio.wait_for(sitl.watch(), 10)
 
 

@@ -148,14 +148,14 @@ async def test_a_vehicle_that_never_stands_still_is_the_missions_business() -> N
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"kind": FIXED_WING}, r"no multirotor \(MAV_TYPE 1\)"),
-        ({"fix_from_s": 1e9}, r"no GPS fix within 180 s \(fix type 1, 3 is needed\)"),
+        ({"kind": FIXED_WING}, r"not a multirotor \(MAV_TYPE 1\)"),
+        ({"fix_from_s": 1e9}, r"no GPS fix within 180 s \(fix type 1, 3 is required\)"),
         ({"arms_from_s": 1e9}, r"could not be armed within 180 s: Arm: Need Position Estimate$"),
-        ({"climbs": False}, r"climbing: not done within 180 s"),
+        ({"climbs": False}, r"climbing: not completed within 180 s"),
         ({"result": 4}, r"changing to GUIDED: failed"),
     ],
 )
-async def test_what_keeps_it_on_the_ground_is_told(changes: dict[str, Any], words: str) -> None:
+async def test_errors_name_what_prevents_the_flight(changes: dict[str, Any], words: str) -> None:
     pilot, autopilot = flown(**changes)
     with pytest.raises(DeviceError, match=words) as caught:
         await pilot.take_off(30.0)
@@ -166,5 +166,5 @@ async def test_what_keeps_it_on_the_ground_is_told(changes: dict[str, Any], word
 async def test_a_vehicle_that_does_not_come_down_is_told() -> None:
     pilot, _ = flown(lands=False)
     await pilot.take_off(30.0)
-    with pytest.raises(DeviceError, match="landing: not done within 120 s"):
+    with pytest.raises(DeviceError, match="landing: not completed within 120 s"):
         await pilot.land()

@@ -36,10 +36,10 @@ def test_faults_of_the_embedded_autopilot_are_refused_of_a_real_one(name: str) -
     [
         (SimConfig(autopilot="px4"), "--autopilot px4"),
         (SimConfig(mount="servo"), "--mount"),
-        (SimConfig(camera_kind="servo", faults=(parse_fault("photo-lost"),)), "speaks for the camera"),
+        (SimConfig(camera_kind="servo", faults=(parse_fault("photo-lost"),)), "reports the photos"),
     ],
 )
-def test_what_a_real_ardupilot_is_not_is_refused(simulation: SimConfig, named: str) -> None:
+def test_settings_that_a_real_autopilot_lacks_are_rejected(simulation: SimConfig, named: str) -> None:
     with pytest.raises(UsageError, match=named):
         SitlVehicle(binary=NOWHERE, simulation=simulation)
 
@@ -94,7 +94,7 @@ async def test_a_simulation_that_dies_ends_the_block() -> None:
             os.kill(pid, signal.SIGKILL)
             await asyncio.sleep(30)
 
-    with pytest.raises(DeviceError, match="has ended by itself"):
+    with pytest.raises(DeviceError, match="exited unexpectedly"):
         await fly()
 
 
