@@ -157,7 +157,7 @@ class Commands:
             try:
                 await self._transactions.answered(request, payload.decode())
             except RefusedRequestError as error:
-                _log.error("the answer could not be kept", error=error.message)
+                _log.error("the response could not be stored", error=error.message)
         else:
             self._answers[key] = (digest, payload)
             while len(self._answers) > _KEPT_ANSWERS:
@@ -179,10 +179,10 @@ class Commands:
             refused = RefusedRequestError("invalid", str(error))
         except PanoexecError as error:
             refused = RefusedRequestError("device", str(error))
-        except Exception as error:  # noqa: BLE001  (the edge of the service: no request may end the daemon)
-            _log.exception("a request met an error of ours", command=request.command)
+        except Exception as error:  # noqa: BLE001  (a bug in a request must not end the daemon)
+            _log.exception("internal error while handling the request", command=request.command)
             refused = RefusedRequestError("internal", f"{type(error).__name__}: {error}")
-        _log.warning("request not obeyed", command=request.command, code=refused.code, error=refused.message[:300])
+        _log.warning("request rejected", command=request.command, code=refused.code, error=refused.message[:300])
         return failed(refused, request.transaction)
 
     async def _obey(self, request: Request) -> dict[str, Any]:

@@ -171,7 +171,7 @@ class Daemon:
         trouble = closed or await asyncio.to_thread(storage_trouble, self.config.storage)
         if trouble != self._storage_trouble:
             self._storage_trouble = trouble
-            _log.warning("storage", trouble=trouble or "none any more")
+            _log.warning("storage failed" if trouble else "storage recovered", trouble=trouble)
             self._changed.set()
         if closed or self._taken_up:
             return False
@@ -196,7 +196,7 @@ class Daemon:
             async with asyncio.timeout(_STOP_S):
                 await self.missions.interrupted("panoexec was stopped; the mission can be resumed")
         except TimeoutError:
-            _log.error("the mission does not end: stopped at once")
+            _log.error("the mission did not stop in time: cancelled")
         if self.mqtt is None:
             return
         self._publish_state()
@@ -210,13 +210,13 @@ class Daemon:
         try:
             new = self._reload()
         except PanoexecError as error:
-            _log.error("the new configuration is wrong, the old one stays in force", error=str(error))
+            _log.error("invalid configuration: the previous one remains in force", error=str(error))
         else:
             keep = {name: getattr(self.config, name) for name in type(new).model_fields if name not in _RELOADABLE}
             fixed = [name for name in keep if getattr(new, name) != keep[name]]
             self.config = new.model_copy(update=keep)
             configure_logs(self.config.log.level, self.config.log.format)
-            _log.info("configuration read again", needs_restart=fixed)
+            _log.info("configuration reloaded", needs_restart=fixed)
         self._notifier.ready(self._status_line())
 
     # --- missions
@@ -351,7 +351,7 @@ class Daemon:
         while True:
             stuck = self.stuck()
             if stuck:
-                _log.error("no sign of life", stuck=stuck)
+                _log.error("task stalled; watchdog withheld", stuck=stuck)
             else:
                 self._notifier.watchdog()
             await asyncio.sleep(period_s / 3)
