@@ -1,4 +1,4 @@
-"""The pilot of simulated flights, on an autopilot that is a few lines of Python."""
+"""The pilot of simulated flights, with a scripted autopilot."""
 
 from __future__ import annotations
 
@@ -133,13 +133,13 @@ async def test_it_waits_for_gps_and_estimator_and_climbs() -> None:
     assert not autopilot.status.armed
 
 
-async def test_the_mission_begins_where_it_stands_still_and_not_where_the_wind_has_pushed_it() -> None:
+async def test_take_off_waits_until_the_vehicle_holds_its_position() -> None:
     pilot, autopilot = flown(still_from_s=50.0)
     await pilot.take_off(30.0)
     assert autopilot.clock.now_s >= 50.0 + 3.0
 
 
-async def test_a_vehicle_that_never_stands_still_is_the_missions_business() -> None:
+async def test_take_off_ends_even_if_the_vehicle_never_holds_its_position() -> None:
     pilot, autopilot = flown(still_from_s=1e9)
     await pilot.take_off(30.0)
     assert autopilot.clock.now_s < 120.0
@@ -163,7 +163,7 @@ async def test_errors_name_what_prevents_the_flight(changes: dict[str, Any], wor
     assert autopilot.handlers == []
 
 
-async def test_a_vehicle_that_does_not_come_down_is_told() -> None:
+async def test_landing_timeout_is_an_error() -> None:
     pilot, _ = flown(lands=False)
     await pilot.take_off(30.0)
     with pytest.raises(DeviceError, match="landing: not completed within 120 s"):

@@ -59,7 +59,7 @@ def test_reasonable_requests_pass() -> None:
         ),
     ],
 )
-def test_impossible_requests_are_named(changes: dict[str, object], says: str) -> None:
+def test_invalid_requests_are_named(changes: dict[str, object], says: str) -> None:
     with pytest.raises(PlanningError, match=says) as raised:
         check_request(CAMERA, replace(FINE, **changes))  # type: ignore[arg-type]
     assert "\n" not in str(raised.value)
@@ -67,6 +67,6 @@ def test_impossible_requests_are_named(changes: dict[str, object], says: str) ->
 
 
 @pytest.mark.parametrize(("hfov", "vfov"), [(179.5, 40), (40, 179.9), (0.01, 0.01)])
-def test_cameras_that_are_no_pinholes_are_refused(hfov: float, vfov: float) -> None:
+def test_fields_of_view_beyond_the_pinhole_model_are_rejected(hfov: float, vfov: float) -> None:
     with pytest.raises(PlanningError, match="field of view"):
         check_request(Camera.from_fov(hfov, vfov), FINE)

@@ -1,4 +1,4 @@
-"""Faults: how they are named, when they strike."""
+"""Faults: syntax and timing."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ISSUE_NAMES = {
 }
 
 
-def test_every_fault_that_was_asked_for_is_there_and_can_be_named_alone() -> None:
+def test_every_required_fault_exists_and_can_be_given_by_name_only() -> None:
     assert set(FAULTS) == ISSUE_NAMES
     for name, fault in FAULTS.items():
         spec = parse_fault(name)
@@ -100,7 +100,7 @@ def test_moments_fire_once_each() -> None:
     assert not two.fires("battery-low", 99.0)
 
 
-def test_photo_faults_strike_numbers_spans_and_shares() -> None:
+def test_photo_faults_by_number_span_and_probability() -> None:
     some = faults("photo-lost=#2", "capture-lost=10+5", "capture-twice=0.25")
     hits: dict[str, list[int]] = {"photo-lost": [], "capture-lost": [], "capture-twice": []}
     for number in range(400):
@@ -125,7 +125,7 @@ def test_drift_never_strikes_twice_in_a_row_so_that_a_retake_ends_well(value: st
     assert not any(a and b for a, b in itertools.pairwise(hits))
 
 
-def test_random_spans_come_from_the_seed_and_not_from_who_asks() -> None:
+def test_random_spans_depend_on_the_seed_and_not_on_queries() -> None:
     def active(seed: int, step: float) -> list[bool]:
         one = faults("gust=0.8", seed=seed)
         one.photo_commanded(10.0)

@@ -13,7 +13,7 @@ from panoexec.sim.physics.world import SimClock
 
 
 @given(st.floats(0, 4e6))
-def test_the_time_is_told_to_the_microsecond(now_s: float) -> None:
+def test_time_fields_have_microsecond_resolution(now_s: float) -> None:
     boot_ms, value = time_fields(now_s)
     assert 0 <= boot_ms < 2**32
     assert 0 <= value < 1000
@@ -21,7 +21,9 @@ def test_the_time_is_told_to_the_microsecond(now_s: float) -> None:
 
 
 @given(st.lists(st.tuples(st.floats(0, 1e6), st.floats(0.01, 100)), min_size=1, max_size=5), st.data())
-def test_allowances_arrive_exactly_however_they_are_cut(told: list[tuple[float, float]], data: st.DataObject) -> None:
+def test_limits_are_parsed_exactly_for_any_split_of_the_stream(
+    told: list[tuple[float, float]], data: st.DataObject
+) -> None:
     limits = TimeLimits()
     rest = b"".join(limits_line(*line) for line in told)
     while rest:
@@ -33,13 +35,13 @@ def test_allowances_arrive_exactly_however_they_are_cut(told: list[tuple[float, 
 
 
 @pytest.mark.parametrize("line", [b"", b"x y", b"1", b"1 2 3", b"nan 1", b"inf 1", b"5 0", b"5 -1", b"5 nan"])
-def test_what_means_nothing_changes_nothing(line: bytes) -> None:
+def test_invalid_lines_are_ignored(line: bytes) -> None:
     limits = TimeLimits()
     limits.feed(line + b"\n")
     assert (limits.until_s, limits.speed, limits.changed.is_set()) == (0.0, 1.0, False)
 
 
-def test_a_clock_that_was_held_goes_on_from_where_it_is() -> None:
+def test_paused_clock_continues_from_its_time() -> None:
     wall = [0.0]
     clock = SimClock(20.0, monotonic=lambda: wall[0])
     wall[0] = 1.0

@@ -15,7 +15,7 @@ from panoexec.sim.faults import FAULTS, parse_fault
 from panoexec.sim.options import add_arguments, config_of
 
 
-def test_a_configuration_survives_json_whole() -> None:
+def test_configuration_round_trips_through_json() -> None:
     config = SimConfig(
         port=14999,
         autopilot="px4",

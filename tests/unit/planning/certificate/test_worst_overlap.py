@@ -1,4 +1,4 @@
-"""Worst-case overlaps: below what any errors make, and not far below."""
+"""Worst-case overlaps: valid and tight lower bounds."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def taken(attitudes: Array, tolerance: Tolerance, count: int, seed: int) -> Arra
     tolerance=_TOLERANCES,
     seed=st.integers(0, 2**31),
 )
-def test_no_errors_make_a_pair_overlap_less(
+def test_no_errors_reduce_a_pair_below_its_bound(
     hfov: float, ratio: float, pitch: float, up: float, aside: float, roll: float, tolerance: Tolerance, seed: int
 ) -> None:
     camera = Camera.from_fov(hfov, min(hfov * ratio, 110.0))
@@ -95,7 +95,7 @@ def test_the_bound_of_a_pair_is_close(pitch: float, camera: Camera, tolerance: T
     tolerance=st.one_of(st.just(PAPER), _TOLERANCES),
     seed=st.integers(0, 2**31),
 )
-def test_no_errors_make_a_row_cover_less(
+def test_no_errors_reduce_a_row_below_its_bound(
     hfov: float, pitch: float, up: float, below: bool, spacing: float, tolerance: Tolerance, seed: int
 ) -> None:
     camera = Camera.from_fov(hfov, hfov * 0.75)
@@ -159,7 +159,7 @@ def test_without_tolerance_the_bounds_are_the_overlaps() -> None:
     assert union <= expected + 1e-12
 
 
-def test_padding_adds_nothing() -> None:
+def test_padding_does_not_change_the_bound() -> None:
     attitudes = rotation([0.0, 5.0, -5.0], [-40.0, -52.0, -52.0])
     corners = ErrorCorners.of(SCENARIO_2, attitudes, PAPER)
     alone = worst_union_overlaps(corners, ONE, np.array([[1]]), np.array([[True]]))
