@@ -83,7 +83,7 @@ def test_the_verb_says_how_to_connect_flies_and_ends_cleanly(
         (["--port", "99999"], "--port 99999: expected 1 to 65535"),
         (["--camera", "no-such-camera"], "no camera profile 'no-such-camera'"),
         (["--attach", "somewhere"], "--attach somewhere: expected tcp:HOST:PORT"),
-        (["--attach", "tcp:127.0.0.1:5762", "--fault", "reboot"], "--fault reboot is the autopilot's"),
+        (["--attach", "tcp:127.0.0.1:5762", "--fault", "reboot"], "--fault reboot belongs to the autopilot"),
         (["--output", "/proc/nowhere"], "--output /proc/nowhere: not writable"),
         (["--scene", "whatever.jpg"], "--scene needs --output"),
         (["--set", "gimbal.speed=3"], "no such number"),
