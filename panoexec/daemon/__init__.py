@@ -1,1 +1,1 @@
-"""The daemon: links to autopilot and broker, missions by request, signs of life for the service manager."""
+"""The daemon: links to autopilot and broker, missions on request, watchdog notifications to systemd."""

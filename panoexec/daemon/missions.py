@@ -1,4 +1,4 @@
-"""The missions of the daemon, one at a time: begun, resumed, flown to their end, kept on disk."""
+"""The daemon's missions, one at a time: begin, resume, run to the end, store."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from panoexec.store.session import (
 Reference = Literal["north", "heading"]
 
 REFERENCE: Final = "reference"
-"""What a mission's journal keeps beside: the wish that it began with."""
+"""Extra data that a mission's journal stores: the request that the mission began with."""
 
 _ENDING_S: Final = 30.0
 _SAY_S: Final = 3.0
@@ -47,11 +47,11 @@ _log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Offer:
-    """An interrupted mission that can be gone on with.
+    """An interrupted mission that can be resumed.
 
     Attributes:
         stored_id: its mission id.
-        record: what is known of it.
+        record: its record so far.
         plan: its plan.
     """
 
@@ -61,14 +61,14 @@ class Offer:
 
 
 class Missions:
-    """Flies missions in `run`, which is one task of the daemon; the other methods may be used from any.
+    """Runs missions in `run`, which is one task of the daemon; the other methods may be called from any task.
 
     Attributes:
-        record: of the mission that flies, or flew last, or is offered; None without one.
+        record: of the running, the last, or the offered mission; None without one.
         plan: its plan.
-        mission: the executor while one flies.
-        offer: the interrupted mission that `resume` goes on with.
-        trouble: the error that ended the last mission; "" if none did.
+        mission: the executor while a mission runs.
+        offer: the interrupted mission that `resume` continues.
+        trouble: the error that ended the last mission; "" for none.
     """
 
     def __init__(
@@ -79,12 +79,12 @@ class Missions:
         sink: EventSink,
         changed: Callable[[], None],
     ) -> None:
-        """Describe it.
+        """Create it.
 
         Args:
-            config: the configuration as of now.
-            clock: of missions.
-            sink: gets the events.
+            config: returns the current configuration.
+            clock: the mission clock.
+            sink: receives the events.
             changed: called when a mission begins or ends.
         """
         self.record: MissionRecord | None = None
@@ -106,16 +106,16 @@ class Missions:
 
     @property
     def busy(self) -> bool:
-        """Whether a mission flies, or is about to."""
+        """Whether a mission runs or is starting."""
         return self._claimed
 
     async def under_way(self) -> Mission | None:
-        """The mission that flies; one that is just beginning is waited for, so that it can be commanded at once."""
+        """The running mission; waits for one that is starting, so that it can be commanded at once."""
         await self._begun.wait()
         return self.mission
 
     def publish(self, event: Event) -> None:
-        """Take an event of the mission that flies (`EventSink`)."""
+        """Publish an event of the running mission (`EventSink`)."""
         if event.state is not MissionState.IDLE:
             self._begun.set()
         self._over = event.state in ENDED
@@ -123,9 +123,9 @@ class Missions:
 
     @contextlib.asynccontextmanager
     async def claimed(self) -> AsyncIterator[None]:
-        """Hold the only place for a mission; it is free again if the block fails.
+        """Reserve the mission slot; it is released if the block fails.
 
-        A mission that is over, and whose files are still being written, is waited for.
+        Waits for a finished mission whose files are still being written.
 
         Raises:
             MissionBusyError: a mission flies.
@@ -146,7 +146,7 @@ class Missions:
             raise
 
     async def begin(self, plan: Plan, settings: MissionSettings, devices: Devices, reference: Reference) -> str:
-        """Make a new mission and have it flown; returns its id. Only while `claimed`.
+        """Create a new mission and start it; returns its id. Only while `claimed`.
 
         Raises:
             MissionStorageError: it cannot be stored.
@@ -169,7 +169,7 @@ class Missions:
         return stored.directory.mission_id
 
     async def go_on(self, devices: Devices) -> str:
-        """Go on with the offered mission; returns its id. Only while `claimed`.
+        """Resume the offered mission; returns its id. Only while `claimed`.
 
         Raises:
             NotResumableError: none is offered, or it cannot be resumed.
@@ -186,15 +186,15 @@ class Missions:
             raise NotResumableError(str(error)) from error
         self.offer = None
         self._begun.clear()
-        # only of weight where a process died before it could put its first event on disk
+        # only relevant if the process died before its first event was on disk
         self._next.put_nowait((stored, devices, "heading" if stored.extra.get(REFERENCE) == "heading" else "north"))
         return directory.mission_id
 
     async def find_interrupted(self) -> bool:
-        """Look for the newest mission on disk and offer it if it can be resumed.
+        """Find the newest mission on disk and offer it if it can be resumed.
 
         Returns:
-            Whether it may go on by itself: a process ended in it, while nobody had asked it to hold.
+            Whether it may resume automatically: the process died during the mission, and no pause was requested.
         """
         directories = await asyncio.to_thread(mission_directories, self._config().storage.path)
         if not directories:
@@ -215,7 +215,7 @@ class Missions:
         return record.state is not MissionState.FAILED and not record.asked.pause
 
     async def run(self) -> None:
-        """Fly what begins, one after the other, for ever."""
+        """Run the missions that begin, one after the other, forever."""
         while True:
             stored, devices, reference = await self._next.get()
             self.trouble = ""
@@ -228,14 +228,14 @@ class Missions:
             self._changed()
 
     async def _flown(self, stored: StoredMission, devices: Devices, reference: Reference) -> None:
-        """Fly to the end, whatever that is."""
+        """Run a mission to its end, successful or not."""
         try:
             await self._fly(stored, devices, reference)
         except (PanoexecError, ValueError, OSError) as error:
             self.trouble = str(error)
             _log.error("mission ended by an error", mission_id=stored.directory.mission_id, error=str(error))
             await self._tell_pilot(devices.vehicle)
-        except Exception as error:  # noqa: BLE001  (the edge of the service: a fault of ours must not end the daemon)
+        except Exception as error:  # noqa: BLE001  (a bug in a mission must not end the daemon)
             self.trouble = f"{type(error).__name__}: {error}"
             _log.exception("mission ended by an internal error", mission_id=stored.directory.mission_id)
             await self._tell_pilot(devices.vehicle)
@@ -243,18 +243,18 @@ class Missions:
             self.mission, self._over = None, True
 
     async def _tell_pilot(self, vehicle: Vehicle) -> None:
-        """A mission whose journal fails cannot announce its end itself."""
+        """Announce the end of a mission whose journal failed, which cannot do so itself (STATUSTEXT, 253)."""
         with contextlib.suppress(PanoexecError, TimeoutError):
             async with asyncio.timeout(_SAY_S):
                 await vehicle.say(f"Pano: ended by an error: {self.trouble}", Severity.ERROR)
 
     @staticmethod
     async def _leave(stored: StoredMission) -> None:
-        """Write what others work from, while the place for a mission is still taken: a stop waits for it."""
+        """Write the mission's outputs while the mission slot is still reserved: a stop waits for it."""
         try:
             await asyncio.to_thread(write_mission_outputs, stored.directory)
         except (PanoexecError, ValueError, OSError) as error:
-            _log.error("files are missing", mission_id=stored.directory.mission_id, error=str(error))
+            _log.error("mission outputs could not be written", mission_id=stored.directory.mission_id, error=str(error))
 
     async def _fly(self, stored: StoredMission, devices: Devices, reference: Reference) -> None:
         section = self._config().vehicle
@@ -274,13 +274,13 @@ class Missions:
                 _log.info("mission ended", state=record.state.value, reason=record.reason)
 
     async def _offer_again(self) -> None:
-        """A mission that failed or was interrupted can be resumed without a new process."""
+        """Offer a failed or interrupted mission for resuming in this process."""
         record = self.record
         if record is not None and record.state in (MissionState.FAILED, MissionState.PAUSED):
             await self.find_interrupted()
 
     async def interrupted(self, reason: str) -> None:
-        """Stop the mission after its photo and return when it is on disk; it can be resumed."""
+        """Stop the mission after the current photo and return when it is on disk; it can be resumed."""
         mission = self.mission
         if mission is not None:
             with contextlib.suppress(CommandRefusedError):

@@ -1,4 +1,4 @@
-"""Readiness, status and watchdog notices to systemd: sd_notify(3) without its library."""
+"""Notifications to systemd (readiness, status, watchdog): sd_notify(3) without libsystemd."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from collections.abc import Mapping
 
 
 class SystemdNotifier:
-    """Sends notices to the service manager; does nothing where there is none.
+    """Sends notifications to the service manager; does nothing without one.
 
-    A notice that cannot be sent is dropped: a daemon must not fail because its supervisor is busy.
+    A notification that cannot be sent is dropped: the daemon must not fail because the service manager is busy.
     """
 
     def __init__(self, environment: Mapping[str, str] = os.environ, *, pid: int | None = None) -> None:
@@ -25,7 +25,7 @@ class SystemdNotifier:
 
     @property
     def watchdog_s(self) -> float | None:
-        """Seconds after which the service manager takes us for dead without `watchdog()`, None if it does not watch."""
+        """Watchdog timeout in seconds (WATCHDOG_USEC), None if the watchdog is off."""
         return self._watchdog_s
 
     def ready(self, status: str) -> None:
@@ -33,23 +33,23 @@ class SystemdNotifier:
         self._send(f"READY=1\nSTATUS={_one_line(status)}")
 
     def status(self, status: str) -> None:
-        """What `systemctl status` shows."""
+        """Set the status line of `systemctl status` (STATUS=)."""
         self._send(f"STATUS={_one_line(status)}")
 
     def watchdog(self) -> None:
-        """A sign of life."""
+        """Keep-alive ping of the watchdog (WATCHDOG=1)."""
         self._send("WATCHDOG=1")
 
     def reloading(self, monotonic_usec: int) -> None:
-        """A reload begins; `ready` ends it. The stamp is CLOCK_MONOTONIC in microseconds."""
+        """A reload begins (RELOADING=1); `ready` ends it. The stamp is CLOCK_MONOTONIC in microseconds."""
         self._send(f"RELOADING=1\nMONOTONIC_USEC={monotonic_usec}")
 
     def stopping(self, status: str) -> None:
-        """The service is going down."""
+        """The service is stopping (STOPPING=1)."""
         self._send(f"STOPPING=1\nSTATUS={_one_line(status)}")
 
     def extend_timeout(self, seconds: float) -> None:
-        """Start or stop takes longer: do not kill us for so long."""
+        """Extend the timeout of start or stop (EXTEND_TIMEOUT_USEC=)."""
         self._send(f"EXTEND_TIMEOUT_USEC={round(seconds * 1e6)}")
 
     def _send(self, message: str) -> None:

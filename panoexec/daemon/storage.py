@@ -26,10 +26,10 @@ def storage_trouble(section: StorageSection) -> str:
     except OSError as error:
         return f"{section.path} cannot be used ({error.strerror})"
     if found.f_flag & os.ST_RDONLY:
-        return f"{section.path} is read-only: have the disk looked at, or let the service write there"
+        return f"{section.path} is read-only: check the disk, or permit the service to write there"
     free_mb = found.f_bavail * found.f_frsize / 1e6
     if free_mb < section.min_free_mb:
-        return f"{section.path} has {free_mb:.0f} MB left: [storage] min_free_mb asks for {section.min_free_mb:g}"
+        return f"{section.path} has {free_mb:.0f} MB left: [storage] min_free_mb requires {section.min_free_mb:g}"
     return ""
 
 

@@ -1,4 +1,4 @@
-"""The vehicle with its gimbal and camera, held for as long as the daemon runs, whatever is absent or comes back."""
+"""The connection to autopilot, gimbal and camera: kept open, and reopened after losses, while the daemon runs."""
 
 from __future__ import annotations
 
@@ -36,21 +36,21 @@ _log = structlog.get_logger(__name__)
 
 
 class VehicleLink:
-    """Opens the link, finds gimbal and camera, and goes on trying for ever; `run` it in a task.
+    """Opens the link, discovers gimbal and camera, and retries forever; `run` it in a task.
 
     Attributes:
-        devices: to fly with; None until all were found.
+        devices: the devices for missions; None until all were found.
         reason: what is missing, "" if nothing is.
-        pulse_s: time.monotonic when the task last proved that it is not stuck.
+        pulse_s: time.monotonic of the task's last progress, for the watchdog.
     """
 
     def __init__(self, config: Config, *, clock: Clock, changed: Callable[[], None] = lambda: None) -> None:
-        """Describe it.
+        """Create it.
 
         Args:
-            config: of the daemon.
-            clock: of missions.
-            changed: called whenever a link comes or goes.
+            config: the daemon's configuration.
+            clock: the mission clock.
+            changed: called when a link is established or lost.
         """
         self.devices: Devices | None = None
         self.reason = "not connected yet"
@@ -66,24 +66,24 @@ class VehicleLink:
 
     @property
     def status(self) -> VehicleStatus:
-        """Of the vehicle, unknown without one."""
+        """Status of the vehicle, unknown without one."""
         return VehicleStatus() if self._vehicle is None else self._vehicle.status
 
     def links(self) -> LinksFields:
-        """How the links do."""
+        """Status of the links to autopilot, gimbal and camera."""
         autopilot, gimbal, camera = (_fields(ok, age_s) for ok, age_s in self._standing())
         return LinksFields(autopilot=autopilot, gimbal=gimbal, camera=camera)
 
     @property
     def lacking(self) -> str:
-        """What is missing, or was lost after all had been found; "" for nothing."""
+        """What is missing, or was lost after all devices had been found; "" for nothing."""
         if self.reason:
             return self.reason
         lost = [name for name, (ok, _) in zip(_NAMES, self._standing(), strict=True) if not ok]
         return f"lost: {', '.join(lost)}" if lost else ""
 
     def _standing(self) -> tuple[tuple[bool, float], tuple[bool, float], tuple[bool, float]]:
-        """Whether autopilot, gimbal and camera are there, and when each was last heard, seconds ago."""
+        """For autopilot, gimbal and camera: whether the link is up, and seconds since the last message."""
         autopilot = math.inf if self._link is None else self._link.heartbeat_age_s
         gimbal = math.inf if self._gimbal is None else self._gimbal.age_s
         connected = self._link is not None and self._link.connected
@@ -106,7 +106,7 @@ class VehicleLink:
         return self.devices
 
     async def run(self) -> None:
-        """Hold the link for ever."""
+        """Keep the link forever."""
         patience_s = _BACKOFF_S
         while True:
             self.pulse_s = began = time.monotonic()
@@ -120,11 +120,11 @@ class VehicleLink:
             patience_s = min(2 * patience_s, _BACKOFF_MOST_S)
 
     async def _hold(self) -> None:
-        """One link, until it fails for good."""
+        """One link, until it fails permanently."""
         section = self._config.vehicle
         feedback = self._config.gimbal.feedback
         url = await asyncio.to_thread(connection_of, section)
-        # idle streams are looked at once a second of real time, which a mission at a speed-up would take for silence
+        # idle streams are checked once per second of real time, which is a long silence at a speed-up
         throttling = getattr(self._clock, "speedup", 1.0) <= 1.0
         link = MavsdkLink(
             url, clock=self._clock, component_id=section.component_id, patient=True, throttling=throttling
@@ -150,7 +150,7 @@ class VehicleLink:
                 await asyncio.sleep(_LOOK_S)
 
     async def _find(self, link: MavsdkLink, gimbal: MavsdkGimbal) -> None:
-        """Return when autopilot and gimbal are there."""
+        """Return when autopilot and gimbal are found."""
         while True:
             self._look()
             try:
@@ -174,7 +174,7 @@ class VehicleLink:
                 return
 
     def _look(self) -> None:
-        """Prove life, and tell changes."""
+        """Update the watchdog pulse and report changes."""
         self.pulse_s = time.monotonic()
         if self._gimbal is not None:
             self._gimbal.feed.ingest()  # while nobody else reads, on the loop's own wake-ups

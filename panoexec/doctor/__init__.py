@@ -1,1 +1,1 @@
-"""What a mission needs and what is there of it: links, message rates, devices, broker, machine; nothing is changed."""
+"""`panoexec doctor`: checks links, message rates, devices, broker and machine for a mission; changes no setting."""

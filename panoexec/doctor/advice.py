@@ -1,4 +1,4 @@
-"""What to set where: the parameters of ArduPilot and PX4 behind each thing that a mission needs.
+"""Advice: the ArduPilot and PX4 parameters behind each requirement of a mission.
 
 Names and values from ArduPilot's parameter descriptions (4.6, 4.7) and PX4's (1.14 to 1.18).
 """
@@ -13,17 +13,17 @@ Topic: TypeAlias = Literal[
 
 _ADVICE: Final[dict[Topic, dict[str, str]]] = {
     "link": {
-        "ardupilot": "SERIALn_PROTOCOL = 2 (MAVLink 2) and SERIALn_BAUD as [vehicle] baud on the port that leads here",
-        "px4": "MAV_n_CONFIG = the port that leads here, MAV_n_MODE = 2 (onboard), SER_*_BAUD as [vehicle] baud",
+        "ardupilot": "SERIALn_PROTOCOL = 2 (MAVLink 2) and SERIALn_BAUD equal to [vehicle] baud on the connected port",
+        "px4": "MAV_n_CONFIG = the connected port, MAV_n_MODE = 2 (onboard), SER_*_BAUD equal to [vehicle] baud",
     },
     "rates": {
-        "ardupilot": "raise SERIALn_BAUD (921600) with [vehicle] baud; take bit 12 (ignore stream rates) out of "
-        "SERIALn_OPTIONS, since 4.7 bit 2 out of MAVn_OPTIONS",
+        "ardupilot": "raise SERIALn_BAUD (921600) with [vehicle] baud; clear bit 12 (ignore stream rates) of "
+        "SERIALn_OPTIONS, since 4.7 bit 2 of MAVn_OPTIONS",
         "px4": "raise SER_*_BAUD (921600) with [vehicle] baud, and MAV_n_RATE (bytes/s; 0 = half the baud rate)",
     },
     "limits": {
         "ardupilot": "MNT1_PITCH_MIN, MNT1_PITCH_MAX, MNT1_YAW_MIN, MNT1_YAW_MAX",
-        "px4": "the gimbal's own settings; of AUX outputs MNT_MIN_PITCH, MNT_MAX_PITCH (before 1.18 MNT_RANGE_PITCH), "
+        "px4": "the gimbal's own settings; for AUX outputs MNT_MIN_PITCH, MNT_MAX_PITCH (before 1.18 MNT_RANGE_PITCH), "
         "MNT_RANGE_YAW",
     },
     "gimbal": {
@@ -33,9 +33,9 @@ _ADVICE: Final[dict[Topic, dict[str, str]]] = {
         "MAV_n_CONFIG, MAV_n_MODE = 10 (gimbal) and MAV_n_FORWARD = 1",
     },
     "feedback": {
-        "ardupilot": "a mount that measures itself: MNT1_TYPE = 6 (MAVLink), 8 (Siyi), 4 or 5 (SToRM32), 3 (Alexmos); "
-        "1 (servo) and 7 (PWM) report what they were told",
-        "px4": "a gimbal that speaks MAVLink itself: MNT_MODE_OUT = 2; AUX outputs (0) report nothing measured",
+        "ardupilot": "a mount with its own IMU: MNT1_TYPE = 6 (MAVLink), 8 (Siyi), 4 or 5 (SToRM32), 3 (Alexmos); "
+        "1 (servo) and 7 (PWM) report the demanded angles",
+        "px4": "a gimbal with MAVLink: MNT_MODE_OUT = 2; AUX outputs (0) report no measured angles",
     },
     "camera": {
         "ardupilot": "CAM1_TYPE = 6 (MAVLink camera v2), 4 (of the mount: Siyi, Topotek, Viewpro, Xacti), 1 (servo) or "
@@ -58,8 +58,8 @@ _ADVICE: Final[dict[Topic, dict[str, str]]] = {
         "px4": "wait for GPS and estimator; EKF2_GPS_CTRL",
     },
     "control": {
-        "ardupilot": "let the other station give the gimbal back, or [gimbal] when_taken",
-        "px4": "let the other station give the gimbal back, or [gimbal] when_taken; MNT_MODE_IN = 4",
+        "ardupilot": "release the gimbal at the other ground station, or set [gimbal] when_taken",
+        "px4": "release the gimbal at the other ground station, or set [gimbal] when_taken; MNT_MODE_IN = 4",
     },
     "time": {
         "ardupilot": "BRD_RTC_TYPES with bit 0 (GPS)",
@@ -69,10 +69,10 @@ _ADVICE: Final[dict[Topic, dict[str, str]]] = {
 
 
 def advise(topic: Topic, autopilot: str) -> str:
-    """The parameters to set: the autopilot's own, or both kinds' while nobody knows which it is.
+    """The parameters to set, for the detected autopilot, or for both kinds if it is unknown.
 
     Args:
-        topic: what is missing.
+        topic: the missing requirement.
         autopilot: ardupilot, px4 or "".
     """
     known = _ADVICE[topic]

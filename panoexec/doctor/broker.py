@@ -1,4 +1,4 @@
-"""The broker: reached, entered, and allowing what a vehicle must do."""
+"""Checks of the MQTT broker: credentials, connection, and access rights of the vehicle."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ _LOCAL: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
 async def check_broker(config: Config, findings: Findings) -> None:
-    """Look at credentials, connection and rights."""
+    """Check credentials, certificates, connection and access rights."""
     section = config.mqtt
     if section.host is None:
-        findings.note("broker", "address", "none", advice="[mqtt] host; without it nobody can command the daemon")
+        findings.note("broker", "address", "none", advice="[mqtt] host; without it the daemon receives no requests")
         return
     problems = credential_problems(section)
     for problem in problems:
-        findings.missing("broker", "credentials", problem, advice="the files named in [mqtt]")
+        findings.missing("broker", "credentials", problem, advice="check the files named in [mqtt]")
     _examine_certificates(config, findings)
     if section.ca_file is None and section.host not in _LOCAL:
         findings.warning(
             "broker",
             "encryption",
-            f"none on the way to {section.host}",
-            needed="TLS on a network: whoever listens can command the vehicle",
+            f"no encryption to {section.host}",
+            needed="TLS on a network: anyone who listens could command the vehicle",
             advice="[mqtt] ca_file and port 8883; config/mosquitto.conf",
         )
     if problems:
@@ -43,14 +43,14 @@ async def check_broker(config: Config, findings: Findings) -> None:
             "broker",
             "connection",
             str(error),
-            advice="[mqtt] host, port, username, password_file; does the broker run?",
+            advice="check [mqtt] host, port, username, password_file; is the broker running?",
         )
         return
     findings.ok(
         "broker",
         "connection",
         f"{section.host}:{section.port}, MQTT {section.protocol}, {1000 * report.connect_s:.0f} ms to connect, "
-        f"{1000 * report.round_trip_s:.1f} ms there and back",
+        f"{1000 * report.round_trip_s:.1f} ms round trip",
     )
     base = f"{section.prefix}/{config.vehicle.id}"
     acl = "the broker's ACL: config/mosquitto.acl; the user name must be the vehicle's id"
@@ -62,9 +62,9 @@ async def check_broker(config: Config, findings: Findings) -> None:
         advice=acl,
     )
     if report.may_write is None:
-        findings.note("broker", "answers", "MQTT 3.1.1 does not tell whether we may write")
+        findings.note("broker", "answers", "MQTT 3.1.1 does not report whether publishing is permitted")
     else:
-        text = f"writing {base}/response/…: {_allowed(report.may_write)}"
+        text = f"publishing to {base}/response/…: {_allowed(report.may_write)}"
         findings.judge("broker", "answers", report.may_write, text, advice=acl)
 
 
@@ -81,7 +81,7 @@ def _examine_certificates(config: Config, findings: Findings) -> None:
         try:
             validity = certificate_validity(path)
         except PanoexecError:
-            continue  # told by the credentials
+            continue  # reported with the credentials
         found = f"{path}: valid until {validity.end:%Y-%m-%d}"
         if problem := validity.problem(now):
             findings.missing("broker", key, f"{path}: {problem}", advice=f"[mqtt] {key}")

@@ -1,4 +1,4 @@
-"""The camera: found, fitting the profile, with room, and what will prove its photos."""
+"""Checks of the camera: discovery, profile, storage, and the evidence available for its photos."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ async def check_camera(link: MavsdkLink, config: Config, findings: Findings, *, 
 
 
 def _examine_size(found: CameraFound, config: Config, findings: Findings) -> None:
-    """Whether the camera takes the images that the profile was written for."""
+    """Check that the camera's image size is the one of the profile."""
     try:
         profile = configured_profile(config)
     except PanoexecError as error:
@@ -50,14 +50,14 @@ def _examine_size(found: CameraFound, config: Config, findings: Findings) -> Non
     text = f"{camera.name}: {camera.hfov_deg:.1f}° × {camera.vfov_deg:.1f}°"
     text += f", {camera.image_width_px} × {camera.image_height_px} px"
     if not found.image_width_px:
-        findings.note("camera", "profile", f"{text}; the camera does not tell its image size")
+        findings.note("camera", "profile", f"{text}; the camera does not report its image size")
     elif size != {found.image_width_px, found.image_height_px}:
         findings.warning(
             "camera",
             "profile",
-            f"{text}, but the camera has {found.image_width_px} × {found.image_height_px} px",
+            f"{text}, but the camera reports {found.image_width_px} × {found.image_height_px} px",
             needed="the profile of this camera: a wrong field of view leaves gaps",
-            advice="[camera] profile (panoexec cameras), or the camera's image size",
+            advice="set [camera] profile (see panoexec cameras), or the camera's image size",
         )
     else:
         findings.ok("camera", "profile", text)
@@ -65,15 +65,15 @@ def _examine_size(found: CameraFound, config: Config, findings: Findings) -> Non
 
 def _examine_room(photos: float, findings: Findings) -> None:
     if math.isinf(photos):
-        findings.note("camera", "storage", "it does not tell how many photos fit")
+        findings.note("camera", "storage", "the camera does not report its free storage")
     elif photos < 1:
         findings.missing(
-            "camera", "storage", "no room for a photo", needed="a card with room", advice="change or clear the card"
+            "camera", "storage", "no space for a photo", needed="free storage", advice="replace or clear the card"
         )
     elif photos < _ENOUGH_PHOTOS:
-        findings.warning("camera", "storage", f"room for {photos:.0f} photos", advice="change or clear the card")
+        findings.warning("camera", "storage", f"space for {photos:.0f} photos", advice="replace or clear the card")
     else:
-        findings.ok("camera", "storage", f"room for {photos:.0f} photos")
+        findings.ok("camera", "storage", f"space for {photos:.0f} photos")
 
 
 def _examine_evidence(best: EvidenceLevel, config: Config, findings: Findings, *, may_tell_files: bool) -> None:
@@ -87,16 +87,16 @@ def _examine_evidence(best: EvidenceLevel, config: Config, findings: Findings, *
         findings.warning(
             "camera",
             "evidence",
-            f"{text}; file_seen only if the camera tells files that this computer can see",
+            f"{text}; file_seen only if the camera reports a file URL that this computer can read",
             needed=needed,
-            advice="panoexec doctor --photo tries it",
+            advice="test it with panoexec doctor --photo",
         )
     else:
         findings.judge("camera", "evidence", wanted <= best, text, needed=needed, advice=advice)
 
 
 async def _take_photo(camera: Camera, config: Config, findings: Findings) -> None:
-    """Take one, and see what proves it."""
+    """Take a photo and report its evidence level."""
     wanted = EvidenceLevel[config.camera.evidence.upper()]
     try:
         pending = await camera.trigger()

@@ -1,4 +1,4 @@
-"""Findings of an examination, and what they add up to."""
+"""Findings of the checks, and the result that they add up to."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from typing import Any, Final
 
 
 class Verdict(StrEnum):
-    """What a finding means for a mission."""
+    """Severity of a finding for a mission."""
 
     OK = "ok"
     NOTE = "note"
-    """Worth knowing; nothing speaks against a mission."""
+    """For information; a mission is possible."""
     WARNING = "warning"
-    """A mission can be flown, but less well or less safely."""
+    """A mission is possible, but with reduced quality or safety."""
     MISSING = "missing"
-    """No mission can be flown so, or nobody could command it."""
+    """A mission is not possible, or cannot be commanded."""
 
 
 DEVICE_AREAS: Final = frozenset({"link", "rates", "gimbal", "camera", "vehicle", "broker"})
-"""Areas in which something missing is a failure of a device or a link."""
+"""Areas in which a missing item is a failure of a device or a link."""
 
 AREAS: Final = (
     "link",
@@ -35,7 +35,7 @@ AREAS: Final = (
     "disk",
     "permissions",
 )
-"""In the order in which they are shown."""
+"""Areas in display order."""
 
 EXIT_FALLS_SHORT: Final = 1
 EXIT_DEVICE: Final = 3
@@ -43,15 +43,15 @@ EXIT_DEVICE: Final = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One thing that was looked at.
+    """Result of one check.
 
     Attributes:
         area: one of `AREAS`.
-        check: what was looked at.
-        verdict: what it means.
-        found: what there is, for people.
-        needed: what a mission needs, "" if that goes without saying.
-        advice: what to do about it: the parameter or the key to set; "" if nothing is to be done.
+        check: name of the check.
+        verdict: severity.
+        found: the observed state, for display.
+        needed: what a mission needs; "" if obvious.
+        advice: parameter or configuration key to set; "" if nothing needs to be done.
     """
 
     area: str
@@ -63,10 +63,10 @@ class Finding:
 
 
 class Findings:
-    """What was found so far.
+    """The findings so far.
 
     Attributes:
-        autopilot: ardupilot or px4; "" before it was found.
+        autopilot: ardupilot or px4; "" until it is detected.
     """
 
     def __init__(self) -> None:
@@ -75,27 +75,27 @@ class Findings:
 
     @property
     def all(self) -> list[Finding]:
-        """Everything, area by area in the order in which it is shown."""
+        """All findings in display order, grouped by area."""
         return sorted(self._found, key=lambda finding: AREAS.index(finding.area))
 
     def ok(self, area: str, check: str, found: str, *, needed: str = "", advice: str = "") -> None:
-        """All is well."""
+        """Add a check that passed."""
         self._add(area, check, Verdict.OK, found, needed=needed, advice=advice)
 
     def note(self, area: str, check: str, found: str, *, needed: str = "", advice: str = "") -> None:
-        """Worth knowing."""
+        """Add information."""
         self._add(area, check, Verdict.NOTE, found, needed=needed, advice=advice)
 
     def warning(self, area: str, check: str, found: str, *, needed: str = "", advice: str = "") -> None:
-        """Less well."""
+        """Add a warning."""
         self._add(area, check, Verdict.WARNING, found, needed=needed, advice=advice)
 
     def missing(self, area: str, check: str, found: str, *, needed: str = "", advice: str = "") -> None:
-        """No mission."""
+        """Add a problem that prevents a mission."""
         self._add(area, check, Verdict.MISSING, found, needed=needed, advice=advice)
 
     def judge(self, area: str, check: str, good: object, found: str, *, needed: str = "", advice: str = "") -> None:
-        """Well, or missing with advice."""
+        """Add a passed check if `good`, else a problem with advice."""
         verdict = Verdict.OK if good else Verdict.MISSING
         self._add(area, check, verdict, found, needed=needed, advice="" if good else advice)
 
@@ -103,7 +103,7 @@ class Findings:
         self._found.append(Finding(area=area, check=check, verdict=verdict, found=found, needed=needed, advice=advice))
 
     def count(self, verdict: Verdict) -> int:
-        """How many findings have this verdict."""
+        """Number of findings with this verdict."""
         return Counter(finding.verdict for finding in self._found)[verdict]
 
     @property
@@ -115,7 +115,7 @@ class Findings:
         return EXIT_FALLS_SHORT if areas else 0
 
     def document(self) -> dict[str, Any]:
-        """As JSON."""
+        """The findings as a JSON object (`panoexec.doctor/1`)."""
         return {
             "format": "panoexec.doctor/1",
             "healthy": self.exit_code == 0,

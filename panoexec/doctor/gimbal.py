@@ -1,4 +1,4 @@
-"""The gimbal: found, its limits, what its reports are worth, whether it lets itself be controlled."""
+"""Checks of the gimbal: discovery, limits, quality of its attitude reports, and control."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _PARAMETERS: Final = {"ardupilot": ("MNT1_TYPE",), "px4": ("MNT_MODE_IN", "MNT_M
 _KINDS: Final = {
     "earth": "measured, relative to the earth",
     "vehicle": "measured, relative to the vehicle's heading",
-    "body": "the servo angles that were demanded",
-    "none": "an echo of what was commanded",
+    "body": "demanded servo angles, not measured",
+    "none": "the commanded angles, not measured",
 }
 
 
 async def check_gimbal(
     gimbal: MavsdkGimbal, link: MavsdkLink, config: Config, findings: Findings, *, patience_s: float
 ) -> bool:
-    """Look for it, and at what it says of itself; whether it is there."""
+    """Check discovery, limits, feedback and plan; return whether a gimbal was found."""
     try:
         found = await gimbal.discover(patience_s)
     except DeviceError as error:
@@ -39,7 +39,7 @@ async def check_gimbal(
             "gimbal", "found", told, needed="a MAVLink gimbal manager", advice=advise("gimbal", findings.autopilot)
         )
         return False
-    name = f"{found.vendor} {found.model}".strip() or "without a name"
+    name = f"{found.vendor} {found.model}".strip() or "unnamed"
     set_now = await _parameters(link, findings.autopilot)
     findings.ok(
         "gimbal",
@@ -53,7 +53,7 @@ async def check_gimbal(
 
 
 async def _parameters(link: MavsdkLink, autopilot: str) -> str:
-    """The mount's parameters as they are set: `MNT1_TYPE = 6`."""
+    """Current values of the mount's parameters, for example `MNT1_TYPE = 6`."""
     out = []
     for name in _PARAMETERS.get(autopilot, ()):
         value = await link.requests.parameter(name)
@@ -65,13 +65,13 @@ async def _parameters(link: MavsdkLink, autopilot: str) -> str:
 def _examine_limits(gimbal: MavsdkGimbal, config: Config, findings: Findings) -> None:
     own, configured = gimbal.limits, config.gimbal.pitch_deg
     if own is None:
-        text = "not stated by its manager (280)"
+        text = "not reported by the gimbal manager (GIMBAL_MANAGER_INFORMATION, 280)"
         if configured is None:
             findings.warning(
                 "gimbal",
                 "limits",
                 text,
-                needed="to refuse what it cannot reach",
+                needed="the gimbal's limits, to reject poses outside them",
                 advice=f"[gimbal] pitch_deg and yaw_deg, or {advise('limits', findings.autopilot)}",
             )
         else:
@@ -83,9 +83,9 @@ def _examine_limits(gimbal: MavsdkGimbal, config: Config, findings: Findings) ->
     findings.missing(
         "gimbal",
         "limits",
-        f"{_range(own)}: it does not pan",
+        f"{_range(own)}: the gimbal has no pan axis",
         needed="all yaws of a panorama",
-        advice='[gimbal] yaw = "vehicle": the vehicle turns in its place',
+        advice='[gimbal] yaw = "vehicle": the vehicle yaws instead',
     )
 
 
@@ -94,7 +94,7 @@ def _range(limits: GimbalLimits) -> str:
     if limits.yaw_endless:
         yaw = "endless"
     elif not limits.pans:
-        yaw = "none (two axes: the vehicle must pan, [gimbal] yaw)"
+        yaw = "none (two axes: the vehicle must yaw, see [gimbal] yaw)"
     return f"pitch {limits.pitch_min_deg:.0f} to {limits.pitch_max_deg:.0f}°, yaw {yaw}"
 
 
@@ -106,11 +106,11 @@ def _examine_feedback(gimbal: MavsdkGimbal, link: MavsdkLink, config: Config, fi
         findings.ok("gimbal", "feedback", text)
     elif kind == "body":
         findings.warning(
-            "gimbal", "feedback", text, needed="measured angles: nothing tells how far off the camera is", advice=advice
+            "gimbal", "feedback", text, needed="measured angles: the pointing error is unknown", advice=advice
         )
     elif config.gimbal.feedback == "none":
         findings.warning(
-            "gimbal", "feedback", f"{text}; [gimbal] feedback says that nothing is verified", advice=advice
+            "gimbal", "feedback", f"{text}; [gimbal] feedback disables pointing verification", advice=advice
         )
     else:
         findings.missing(
@@ -124,15 +124,15 @@ def _examine_feedback(gimbal: MavsdkGimbal, link: MavsdkLink, config: Config, fi
             "gimbal",
             "attitude",
             "; ".join(problems),
-            needed="fresh and whole",
+            needed="recent and complete reports",
             advice=advise("gimbal", findings.autopilot),
         )
     else:
-        findings.ok("gimbal", "attitude", "fresh and whole")
+        findings.ok("gimbal", "attitude", "recent and complete")
 
 
 async def _examine_plan(gimbal: MavsdkGimbal, config: Config, findings: Findings) -> None:
-    """Plan the configured panorama, and see whether this gimbal reaches all of it."""
+    """Plan the configured panorama and check that the gimbal reaches all poses."""
     try:
         spec = configured_spec(config, configured_profile(config))
         limits = effective_limits(gimbal.limits, configured_gimbal(config))
@@ -142,30 +142,30 @@ async def _examine_plan(gimbal: MavsdkGimbal, config: Config, findings: Findings
         advice = f"[mission] elevation_deg, or {advise('limits', findings.autopilot)}"
         findings.missing("mission", "plan", str(error), needed="the configured panorama", advice=advice)
         return
-    # limits of yaw are relative to the nose: what is in reach depends on where it will look
+    # yaw limits are relative to the nose, and the heading of the mission is unknown: check the pitch only
     beyond = limit_problems(plan.shots, replace(limits, yaw_endless=True))
     certificate, estimate = plan.certificate, plan.estimate
     duration = "" if estimate is None else f", {estimate.duration_s:.0f} s"
     text = f"{len(plan.shots)} images{duration}"
     if beyond:
         advice = advise("limits", findings.autopilot)
-        findings.missing("mission", "plan", f"{text}: {'; '.join(beyond)}", needed="poses in reach", advice=advice)
+        findings.missing("mission", "plan", f"{text}: {'; '.join(beyond)}", needed="reachable poses", advice=advice)
     elif certificate is None or not certificate.certified:
-        findings.warning("mission", "plan", f"{text}, not certified", advice="panoexec plan tells why")
+        findings.warning("mission", "plan", f"{text}, not certified", advice="panoexec plan gives the reasons")
     else:
         findings.ok("mission", "plan", f"{text}, certified, all within the gimbal's limits")
 
 
 async def check_control(gimbal: MavsdkGimbal, findings: Findings) -> None:
-    """Take control and give it back, unless somebody has it."""
+    """Acquire gimbal control and release it, unless another component has it."""
     holder = gimbal.controlled_by
     if holder not in (None, (0, 0)) and not gimbal.in_control:
         assert holder is not None
         findings.warning(
             "gimbal",
             "control",
-            f"system {holder[0]} component {holder[1]} has it; it was left there",
-            needed="primary control, which a mission takes",
+            f"system {holder[0]} component {holder[1]} has it; not taken from it",
+            needed="primary control for a mission",
             advice=advise("control", findings.autopilot),
         )
         return
@@ -178,4 +178,4 @@ async def check_control(gimbal: MavsdkGimbal, findings: Findings) -> None:
         return
     finally:
         await gimbal.release()
-    findings.ok("gimbal", "control", "taken and given back")
+    findings.ok("gimbal", "control", "acquired and released")

@@ -1,4 +1,4 @@
-"""The computer that panoexec runs on: its clock, its disk, what this user may do."""
+"""Checks of the computer: clock, disk, permissions of the user."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _SYNCS: Final = 5
 _TIME_ERROR: Final = 5
 _TIMEX_BYTES: Final = 512
 _RELEASED: Final = datetime(2026, 1, 1, tzinfo=UTC).timestamp()
-"""No right clock shows an earlier time: panoexec did not exist."""
+"""Release date of panoexec: a correct clock shows a later time."""
 
 
 def check_machine(config: Config, config_file: Path, findings: Findings) -> None:
-    """Look at clock, disk and permissions. Blocking; writes a small file into the storage and removes it."""
+    """Check clock, disk and permissions. Blocking; writes a small file into the storage and removes it."""
     check_clock(config.storage.path, findings)
     check_disk(config, findings)
     check_permissions(config, config_file, findings)
@@ -39,11 +39,11 @@ def check_machine(config: Config, config_file: Path, findings: Findings) -> None
 
 
 def check_clock(storage: Path, findings: Findings) -> None:
-    """Whether the wall clock can be right: missions are named by it, photos are stamped with it."""
+    """Check that the wall clock is plausible: mission ids and photo times are derived from it."""
     now = time.time()
     shown = datetime.fromtimestamp(now, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
     advice = (
-        "set it, or let it be set: systemd-timesyncd, chrony, or a battery-backed clock for a machine without network"
+        "set it, or synchronise it: systemd-timesyncd, chrony, or a battery-backed clock for a machine without network"
     )
     newest = _newest_mission(storage)
     if now < _RELEASED:
@@ -51,22 +51,22 @@ def check_clock(storage: Path, findings: Findings) -> None:
             "clock", "date", shown, needed=f"after {datetime.fromtimestamp(_RELEASED, UTC):%Y}", advice=advice
         )
     elif newest and newest > datetime.fromtimestamp(now, UTC).strftime("%Y%m%dT%H%M%S"):
-        findings.missing("clock", "date", f"{shown}, before the newest mission {newest}", advice=advice)
+        findings.missing("clock", "date", f"{shown}, earlier than the newest mission {newest}", advice=advice)
     else:
         findings.ok("clock", "date", shown)
     synchronised = clock_synchronised()
     if synchronised is None:
-        findings.note("clock", "synchronised", "the system does not say")
+        findings.note("clock", "synchronised", "unknown: the system does not report it")
     elif synchronised:
         findings.ok("clock", "synchronised", "yes")
     else:
-        findings.warning("clock", "synchronised", "no", needed="times of photos that can be trusted", advice=advice)
+        findings.warning("clock", "synchronised", "no", needed="accurate times of photos", advice=advice)
 
 
 def clock_synchronised() -> bool | None:
-    """Whether the kernel's clock is held by a time service (adjtimex(2)); None if that cannot be asked."""
+    """Whether a time service synchronises the kernel's clock (adjtimex(2)); None if unknown."""
     try:
-        # a struct timex of zeros asks and changes nothing
+        # a struct timex of zeros only queries
         state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES))
     except (OSError, AttributeError):
         return None
@@ -85,7 +85,7 @@ def _newest_mission(storage: Path) -> str:
 
 
 def check_disk(config: Config, findings: Findings) -> None:
-    """Whether missions can be stored, and how fast a journal can be made durable."""
+    """Check that missions can be stored, and measure the time of an fsync."""
     section = config.storage
     try:
         section.path.mkdir(parents=True, exist_ok=True)
@@ -96,11 +96,11 @@ def check_disk(config: Config, findings: Findings) -> None:
             "disk",
             "storage",
             f"{section.path}: {error.strerror}",
-            needed="a folder that can be written",
-            advice=f"[storage] path, or give {section.path} to the service's user ({_user()} now)",
+            needed="a writable folder",
+            advice=f"[storage] path, or give {section.path} to the service's user (now {_user()})",
         )
         return
-    findings.ok("disk", "storage", f"{section.path} can be written")
+    findings.ok("disk", "storage", f"{section.path} is writable")
     findings.judge(
         "disk",
         "room",
@@ -109,7 +109,7 @@ def check_disk(config: Config, findings: Findings) -> None:
         needed=f"{section.min_free_mb:g} MB",
         advice="delete old missions, or [storage] min_free_mb",
     )
-    text = f"{1000 * sync_s:.1f} ms to make a record durable"
+    text = f"{1000 * sync_s:.1f} ms to write a journal record (fsync)"
     if sync_s > _SLOW_SYNC_S:
         findings.warning(
             "disk", "speed", text, needed=f"below {1000 * _SLOW_SYNC_S:g} ms", advice="[storage] path on a faster disk"
@@ -139,16 +139,16 @@ def _sync_time(folder: Path) -> float:
 
 
 def check_permissions(config: Config, config_file: Path, findings: Findings) -> None:
-    """What this user may do, and whether it is the one that the service runs as."""
+    """Check what this user may do, and that it is the service's user."""
     owner = _owner(config.storage.path)
     if os.geteuid() == 0 and owner not in ("", "root"):
-        # the service has this group by its drop-in for serial ports; its user alone has not
+        # the service has this group by its drop-in for serial ports, its user alone does not
         groups = f" -g {owner} -G dialout" if config.vehicle.serial or _devices(config) else ""
         findings.warning(
             "permissions",
             "user",
             f"root, but {config.storage.path} belongs to {owner}",
-            needed="an examination as the user of the service: root may do everything",
+            needed="a check as the service's user: root has all permissions",
             advice=f"runuser -u {owner}{groups} -- panoexec doctor --config {config_file}",
         )
     else:
@@ -158,7 +158,7 @@ def check_permissions(config: Config, config_file: Path, findings: Findings) -> 
 
 
 def _devices(config: Config) -> list[tuple[str, Path]]:
-    """Serial devices that the configuration names."""
+    """Serial devices named in the configuration."""
     vehicle, camera = config.vehicle, config.camera
     out = []
     if vehicle.connection is not None:
@@ -176,7 +176,7 @@ def _devices(config: Config) -> list[tuple[str, Path]]:
 def _examine_device(name: str, path: Path, findings: Findings) -> None:
     if not path.exists():
         findings.missing(
-            "permissions", name, f"{path} is not there", advice="plug it in, or name it by /dev/serial/by-id/…"
+            "permissions", name, f"{path} does not exist", advice="connect it, or use its name in /dev/serial/by-id/"
         )
         return
     group = path.group()
@@ -185,7 +185,7 @@ def _examine_device(name: str, path: Path, findings: Findings) -> None:
         name,
         os.access(path, os.R_OK | os.W_OK),
         f"{path} of group {group}, used by {_user()}",
-        needed="reading and writing",
+        needed="read and write permission",
         advice=f"usermod -aG {group} {_user()}; the service: systemd/serial.conf",
     )
 

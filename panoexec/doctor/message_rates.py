@@ -1,4 +1,4 @@
-"""How often messages really arrive, by sender."""
+"""Measured message rates, by sender."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from panoexec.adapters.link.message_hub import MavMessage
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rate:
-    """What one component sent.
+    """Messages received from one component.
 
     Attributes:
-        component: its MAVLink component.
-        hz: messages a second.
-        gap_s: longest time between two of them, the time to the end of the measurement included.
+        component: MAVLink component id.
+        hz: messages per second.
+        gap_s: longest interval between two messages, including the one up to the end of the measurement.
     """
 
     component: int
@@ -26,7 +26,7 @@ class Rate:
 
 
 class MessageRates:
-    """Counts messages of one name from `start` on; counting happens in the vendor's thread."""
+    """Counts messages of one name from `start` on, in MAVSDK's callback thread."""
 
     def __init__(self, link: MavsdkLink, name: str) -> None:
         self.name = name
@@ -36,12 +36,12 @@ class MessageRates:
         self._off: Callable[[], None] = lambda: None
 
     def start(self) -> None:
-        """Begin to count."""
+        """Start counting."""
         self._begin_s = self._link.clock.monotonic()
         self._off = self._link.on(self.name, self._arrived)
 
     def stop(self) -> list[Rate]:
-        """End; what each component sent, the fastest first. Seconds of the mission's clock."""
+        """Stop counting; return the rate of each sender, the fastest first. Seconds are those of the mission clock."""
         self._off()
         end_s = self._link.clock.monotonic()
         out = []

@@ -1,4 +1,4 @@
-"""The whole examination, in the order in which it is shown."""
+"""Runs all checks, in display order."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ async def run_checks(
     photo: bool = False,
     note: Callable[[str], None] = lambda _: None,
 ) -> Findings:
-    """Look at everything.
+    """Run all checks.
 
     Args:
-        config: checked.
-        config_file: where it came from.
-        clock: of missions.
-        patience_s: real seconds to wait for each device.
+        config: the validated configuration.
+        config_file: its file.
+        clock: the mission clock.
+        patience_s: timeout for each device, seconds of real time.
         photo: take one photo.
-        note: takes what is going on, for people.
+        note: receives progress messages for display.
     """
     findings = Findings()
     note("link, rates, gimbal, camera …")

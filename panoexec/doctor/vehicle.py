@@ -1,4 +1,4 @@
-"""The vehicle: its link, the rates of its messages, what it says of itself."""
+"""Checks of the vehicle: link, message rates, clock, and status."""
 
 from __future__ import annotations
 
@@ -35,25 +35,25 @@ _COMPONENTS: Final = {1: "autopilot", 26: "gimbal", 30: "camera", 18: "companion
 _ESTIMATORS: Final = ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS")
 _WITHOUT: Final = {
     "GIMBAL_DEVICE_ATTITUDE_STATUS": "no pointing can be verified",
-    "ATTITUDE": "the gimbal's yaw cannot be turned to north",
-    "GIMBAL_MANAGER_STATUS": "nobody notices who takes the gimbal",
-    "GLOBAL_POSITION_INT": "the guard of the position is blind, and so is the heading",
-    "SYS_STATUS": "the guard of the battery is blind",
-    "EXTENDED_SYS_STATE": "nobody knows whether it flies",
+    "ATTITUDE": "the gimbal's yaw cannot be converted to north",
+    "GIMBAL_MANAGER_STATUS": "a loss of gimbal control goes undetected",
+    "GLOBAL_POSITION_INT": "the position guard and the heading have no data",
+    "SYS_STATUS": "the battery guard has no data",
+    "EXTENDED_SYS_STATE": "the landed state is unknown",
 }
 
 
 async def check_vehicle(
     config: Config, findings: Findings, *, clock: Clock, patience_s: float, photo: bool = False
 ) -> None:
-    """Look at everything behind the MAVLink connection; nothing moves, and no photo is taken unless `photo`.
+    """Check everything behind the MAVLink connection; nothing moves, and a photo is taken only with `photo`.
 
     Args:
-        config: of the daemon.
-        findings: to add to.
-        clock: of missions; runs faster for a simulated vehicle that does.
-        patience_s: real seconds to wait for autopilot, gimbal and camera each.
-        photo: take one photo to see what proves it.
+        config: the daemon's configuration.
+        findings: results are added to it.
+        clock: the mission clock; faster than real time for a sped-up simulation.
+        patience_s: timeout for autopilot, gimbal and camera each, seconds of real time.
+        photo: take one photo to measure its evidence level.
     """
     try:
         url = await asyncio.to_thread(connection_of, config.vehicle)
@@ -72,7 +72,7 @@ async def check_vehicle(
             vehicle = await stack.enter_async_context(MavsdkVehicle(link))
             if not await _examine_link(link, findings, patience_s=patience_s):
                 for area in ("rates", "gimbal", "camera", "vehicle"):
-                    findings.note(area, "not examined", "there is no autopilot to ask")
+                    findings.note(area, "not examined", "no autopilot found")
                 return
             there = await check_gimbal(gimbal, link, config, findings, patience_s=patience_s)
             await _examine_rates(link, findings, earth=there and gimbal_is_earth(gimbal))
@@ -86,12 +86,12 @@ async def check_vehicle(
     except LinkError as error:
         advice = "[vehicle] connection"
         if "in use" in str(error):
-            advice = "if that is the daemon: systemctl stop panoexec, run_checks, systemctl start panoexec"
+            advice = "if the daemon uses it: systemctl stop panoexec, run panoexec doctor, systemctl start panoexec"
         findings.missing("link", "port", str(error), advice=advice)
 
 
 def gimbal_is_earth(gimbal: MavsdkGimbal) -> bool:
-    """Whether its reports need no attitude of the vehicle."""
+    """Whether the gimbal's attitude reports are relative to the earth (no vehicle attitude needed)."""
     return gimbal.found is not None and gimbal.found.feedback == "earth"
 
 
@@ -112,7 +112,7 @@ async def _examine_link(link: MavsdkLink, findings: Findings, *, patience_s: flo
 
 
 def _examine_components(link: MavsdkLink, findings: Findings) -> None:
-    """Who else is there; all of them have beaten by now."""
+    """Report the other components; all of them have sent heartbeats by now."""
     others = [
         f"{component} ({_COMPONENTS.get(kind, f'MAV_TYPE {kind}')})"
         for component, (kind, _) in sorted(link.components.items())
@@ -124,9 +124,9 @@ def _examine_components(link: MavsdkLink, findings: Findings) -> None:
         findings.missing(
             "link",
             "our ids",
-            f"somebody else beats as {system}/{component}",
-            needed="ids of our own",
-            advice="[vehicle] component_id, or stop the other program: a second panoexec?",
+            f"another component sends heartbeats as {system}/{component}",
+            needed="a unique MAVLink id",
+            advice="change [vehicle] component_id, or stop the other program (a second panoexec?)",
         )
 
 
@@ -143,7 +143,7 @@ async def _version(link: MavsdkLink) -> str:
 
 
 async def _examine_rates(link: MavsdkLink, findings: Findings, *, earth: bool) -> None:
-    """Measure at the rates of a mission."""
+    """Measure message rates at the rates requested during a mission."""
     clock = link.clock
     await link.use_rates(active=True)
     await clock.sleep(_SETTLE_S)
@@ -159,7 +159,7 @@ async def _examine_rates(link: MavsdkLink, findings: Findings, *, earth: bool) -
             continue
         wanted_hz = reports[stream.name].wanted_hz
         if stream.name == "GIMBAL_DEVICE_ATTITUDE_STATUS" and own:
-            wanted_hz = stream.rate_hz  # the autopilot's copy is throttled, the gimbal's own counts
+            wanted_hz = stream.rate_hz  # the autopilot's copy is throttled: the gimbal's own reports count
         _judge_rate(
             findings, stream.name, rates[stream.name], wanted_hz, earth=earth, refused=reports[stream.name].refused
         )
@@ -176,7 +176,7 @@ def _judge_rate(
         sender = "" if best.component == AUTOPILOT else f" from component {best.component}"
         findings.ok("rates", name, f"{best.hz:.1f} Hz{sender}, longest gap {1000 * best.gap_s:.0f} ms", needed=needed)
         return
-    found = f"{best.hz:.1f} Hz" if best.hz else "refused" if refused else "none arrives"
+    found = f"{best.hz:.1f} Hz" if best.hz else "request denied" if refused else "not received"
     if not best.hz:
         found += f": {_WITHOUT[name]}"
     least_hz = _GIMBAL_LEAST_HZ if name == "GIMBAL_DEVICE_ATTITUDE_STATUS" else 0.0
@@ -188,52 +188,52 @@ def _judge_rate(
 
 
 def _judge_estimator(findings: Findings, rates: dict[str, list[Rate]]) -> None:
-    """ArduPilot has the one, PX4 the other; either will do."""
+    """ArduPilot sends one of the messages, PX4 the other; either is sufficient."""
     for name in _ESTIMATORS:
         if rates[name]:
             findings.ok("rates", name, f"{rates[name][0].hz:.1f} Hz")
             return
-    findings.note("rates", " or ".join(_ESTIMATORS), "none arrives: SYS_STATUS tells whether the position is good")
+    findings.note("rates", " or ".join(_ESTIMATORS), "not received: SYS_STATUS is used for the position status")
 
 
 # --- the vehicle itself
 
 
 async def _examine_clock(link: MavsdkLink, findings: Findings) -> None:
-    """Compare our clock with the satellites'."""
+    """Compare this computer's clock with the GPS time of the autopilot (SYSTEM_TIME, 2)."""
     try:
         message = await link.requests.message(_SYSTEM_TIME, "SYSTEM_TIME")
     except DeviceError:
-        findings.note("clock", "vehicle", "the autopilot does not tell its time")
+        findings.note("clock", "vehicle", "the autopilot does not report its time")
         return
     vehicle_s = int(message.fields["time_unix_usec"]) / 1e6
     if vehicle_s <= 0:
         findings.note(
-            "clock", "vehicle", "the autopilot does not know the time yet", advice=advise("time", findings.autopilot)
+            "clock", "vehicle", "the autopilot has no GPS time yet", advice=advise("time", findings.autopilot)
         )
         return
     apart_s = time.time() - vehicle_s
     shown = datetime.fromtimestamp(vehicle_s, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
-    text = f"{shown}, ours is {abs(apart_s):.1f} s {'ahead' if apart_s > 0 else 'behind'}"
+    text = f"{shown}, this computer is {abs(apart_s):.1f} s {'ahead' if apart_s > 0 else 'behind'}"
     if abs(apart_s) > _CLOCK_APART_S:
         findings.warning(
             "clock",
             "vehicle",
             text,
             needed=f"within {_CLOCK_APART_S:g} s",
-            advice="let a time service set this computer's clock",
+            advice="synchronise this computer's clock with a time service",
         )
     else:
         findings.ok("clock", "vehicle", text)
 
 
 def _examine_status(vehicle: MavsdkVehicle, config: Config, findings: Findings) -> None:
-    """What the guards would say now."""
+    """Evaluate the guards' conditions now."""
     status, guards, autopilot = vehicle.status, config.guards, findings.autopilot
     floor = f"{100 * guards.battery_floor_frac:.0f} % ([guards] battery_floor_frac)"
     if math.isnan(status.battery_frac):
         findings.warning(
-            "vehicle", "battery", "not told: its guard is blind", needed=floor, advice=advise("battery", autopilot)
+            "vehicle", "battery", "not reported: no guard", needed=floor, advice=advise("battery", autopilot)
         )
     elif status.battery_frac < guards.battery_floor_frac:
         findings.missing("vehicle", "battery", f"{100 * status.battery_frac:.0f} %", needed=floor, advice="charge it")
@@ -243,7 +243,7 @@ def _examine_status(vehicle: MavsdkVehicle, config: Config, findings: Findings) 
         findings.ok("vehicle", "position", f"good, heading {status.heading_deg:.0f}°")
     else:
         findings.warning(
-            "vehicle", "position", "not good (yet)", needed="to hold its place", advice=advise("position", autopilot)
+            "vehicle", "position", "not valid (yet)", needed="a position hold", advice=advise("position", autopilot)
         )
     modes = ", ".join(guards.allowed_modes)
     if guards.allowed_modes and status.mode not in guards.allowed_modes:
@@ -251,16 +251,16 @@ def _examine_status(vehicle: MavsdkVehicle, config: Config, findings: Findings) 
             "vehicle",
             "flight mode",
             f"{status.mode or 'unknown'} now",
-            needed=f"{modes} when a mission begins",
-            advice="the pilot's switch, or [guards] allowed_modes (OFFBOARD is ArduPilot's GUIDED, HOLD its LOITER)",
+            needed=f"{modes} at the start of a mission",
+            advice="change the mode, or [guards] allowed_modes (OFFBOARD is ArduPilot's GUIDED, HOLD its LOITER)",
         )
     elif config.gimbal.yaw != "gimbal" and status.mode not in vehicle.turn_modes:
         findings.warning(
             "vehicle",
             "flight mode",
             f"{status.mode or 'unknown'} now",
-            needed=f"{' or '.join(vehicle.turn_modes)} where the vehicle pans ([gimbal] yaw)",
-            advice="the pilot's switch (OFFBOARD is ArduPilot's GUIDED)",
+            needed=f"{' or '.join(vehicle.turn_modes)} if the vehicle pans ([gimbal] yaw)",
+            advice="change the flight mode (OFFBOARD is ArduPilot's GUIDED)",
         )
     else:
         findings.ok("vehicle", "flight mode", status.mode or "unknown")

@@ -1,6 +1,6 @@
-"""The vehicles that a dry-run is flown on: the embedded simulation, an ArduPilot SITL, or one that runs already.
+"""Dry-runs, on the embedded simulation, an ArduPilot SITL, or a vehicle that is already running.
 
-ArduPilot is no part of panoexec: the user names an ArduCopter SITL binary of their own. This package starts it with the
-few parameters it needs (`ardupilot-sitl.parm`), attaches the simulated payload of `panoexec.sim` to it, and makes sure
-that nothing outlives the dry-run, however that ends.
+ArduPilot is not part of panoexec: the user provides an ArduCopter SITL binary. This package starts it with the few
+parameters it needs (`ardupilot-sitl.parm`), attaches the simulated payload of `panoexec.sim`, and stops all processes
+at the end of the dry-run, however it ends.
 """

@@ -1,4 +1,4 @@
-"""ArduCopter's own software as a child process: started, watched, ended with whoever started it."""
+"""An ArduCopter SITL as a child process: started, monitored, and killed together with its parent."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from panoexec.dryrun import tether
 from panoexec.errors import DeviceError, UsageError
 
 BINARY_VARIABLE = "ARDUPILOT_SITL"
-"""Environment variable that names the binary."""
+"""Environment variable with the path of the binary."""
 
 PARAMETER_FILE = "ardupilot-sitl.parm"
 _LOG = "sitl.log"
@@ -27,15 +27,15 @@ _WHAT = "the ArduCopter binary of an ArduPilot SITL build, build/sitl/bin/arduco
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SitlOptions:
-    """How to start it.
+    """How to start the SITL.
 
     Attributes:
         binary: ArduCopter, built for SITL.
-        ground_port: UDP port on this machine that it sends to (SERIAL0); whoever listens there is the ground station.
-        payload_port: likewise for the payload (SERIAL1).
-        speedup: simulated seconds a second.
+        ground_port: UDP port on this machine that SERIAL0 sends to, for the ground station.
+        payload_port: UDP port on this machine that SERIAL1 sends to, for the payload.
+        speedup: simulated seconds per second.
         home: latitude and longitude in degrees, altitude above mean sea level in metres, heading in degrees.
-        parameters: of the autopilot, on top of the parameter file.
+        parameters: autopilot parameters in addition to the parameter file.
     """
 
     binary: Path
@@ -47,33 +47,33 @@ class SitlOptions:
 
 
 def sitl_binary(named: str | None) -> Path:
-    """The binary that the user named, or the one in the environment.
+    """The binary given by the user or by the environment.
 
     Args:
-        named: value of `--sitl`; None or "" means the environment.
+        named: value of `--sitl`; None or "" selects the environment variable.
 
     Raises:
-        UsageError: there is none, or it is no program.
+        UsageError: there is none, or it is not executable.
     """
     text = named or os.environ.get(BINARY_VARIABLE, "")
     if not text:
-        raise UsageError(f"--sitl: which binary? Name {_WHAT}, here or in the environment as {BINARY_VARIABLE}")
+        raise UsageError(f"--sitl: no binary given; name {_WHAT}, here or in the environment as {BINARY_VARIABLE}")
     path, source = Path(text).expanduser(), "--sitl" if named else BINARY_VARIABLE
     if not path.exists():
-        problem = "there is no such file"
+        problem = "no such file"
     elif not path.is_file():
-        problem = "is no file"
+        problem = "not a file"
     elif path.suffix == ".py":
-        problem = "is a script"
+        problem = "a script, not a binary"
     elif not os.access(path, os.X_OK):
-        problem = "is no executable"
+        problem = "not executable"
     else:
         return path.absolute()
-    raise UsageError(f"{source} {text}: {problem}; accepted is {_WHAT}")
+    raise UsageError(f"{source} {text}: {problem}; expected {_WHAT}")
 
 
 def free_udp_ports(count: int) -> list[int]:
-    """Different UDP ports on which nobody listens at the moment."""
+    """Different UDP ports that are currently unused."""
     with contextlib.ExitStack() as stack:
         probes = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(count)]
         for probe in probes:
@@ -91,12 +91,12 @@ class SitlProcess:
 
     @property
     def pid(self) -> int:
-        """Its process id."""
+        """Process id."""
         return self._process.pid
 
     @property
-    def last_words(self) -> str:
-        """The last line that it printed; "" if none."""
+    def last_output(self) -> str:
+        """The last line of its output; "" if none."""
         with contextlib.suppress(OSError):
             text = (self._folder / _LOG).read_text(encoding="utf-8", errors="replace")
             for line in reversed(text.splitlines()):
@@ -105,23 +105,23 @@ class SitlProcess:
         return ""
 
     async def watch(self) -> None:
-        """Wait for its end, which is never wanted while somebody watches.
+        """Wait until the process exits, and raise.
 
         Raises:
-            UsageError: it is no program for this machine.
-            DeviceError: it ended; with its last words.
+            UsageError: the binary cannot run on this machine.
+            DeviceError: it exited; with its last output line.
         """
         code = await self._process.wait()
-        words = self.last_words
+        words = self.last_output
         if code == tether.CANNOT_RUN and words.startswith(str(self._options.binary)):
             reason = words.removeprefix(str(self._options.binary)).lstrip(": ")
-            raise UsageError(f"--sitl {self._options.binary}: cannot be run ({reason}); accepted is {_WHAT}")
+            raise UsageError(f"--sitl {self._options.binary}: cannot be executed ({reason}); expected {_WHAT}")
         how = f"exit code {code}" if code >= 0 else f"signal {-code}"
-        said = f"; its last words: {words}" if words else ", and said nothing"
-        raise DeviceError(f"the SITL {self._options.binary} has ended by itself ({how}){said}")
+        said = f"; last output: {words}" if words else ", without output"
+        raise DeviceError(f"the SITL {self._options.binary} exited unexpectedly ({how}){said}")
 
     async def stop(self) -> None:
-        """End it."""
+        """Terminate it; kill it after a timeout."""
         for end in (self._process.terminate, self._process.kill):
             if self._process.returncode is not None:
                 return
@@ -134,7 +134,7 @@ class SitlProcess:
 
 @contextlib.asynccontextmanager
 async def running_sitl(options: SitlOptions) -> AsyncIterator[SitlProcess]:
-    """ArduCopter in SITL, in a temporary directory of its own, while the block runs."""
+    """ArduCopter in SITL, in its own temporary directory, while the block runs."""
     with tempfile.TemporaryDirectory(prefix="panoexec-sitl-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         command = _command(options, defaults=_write_parameters(folder, options.parameters))
@@ -146,7 +146,7 @@ async def running_sitl(options: SitlOptions) -> AsyncIterator[SitlProcess]:
                 stdin=asyncio.subprocess.DEVNULL,
                 stdout=log,
                 stderr=asyncio.subprocess.STDOUT,
-                # Ctrl-C is the parent's: it ends the mission first and the vehicle after it
+                # the parent handles Ctrl-C: it ends the mission first and the vehicle after it
                 start_new_session=True,
             )
         sitl = SitlProcess(process, options, folder)
@@ -157,7 +157,7 @@ async def running_sitl(options: SitlOptions) -> AsyncIterator[SitlProcess]:
 
 
 def _write_parameters(folder: Path, parameters: Mapping[str, float]) -> str:
-    """The parameter files, in the order in which they count."""
+    """The parameter files, in order of increasing precedence."""
     shipped, added = folder / PARAMETER_FILE, folder / "run.parm"
     text = (importlib.resources.files("panoexec.dryrun") / PARAMETER_FILE).read_text(encoding="utf-8")
     shipped.write_text(text, encoding="utf-8")
@@ -178,7 +178,7 @@ def _command(options: SitlOptions, *, defaults: str) -> list[str]:
         *("--serial0", f"udpclient:127.0.0.1:{options.ground_port}"),
         *("--serial1", f"udpclient:127.0.0.1:{options.payload_port}"),
         *("--serial2", "none"),
-        # it binds these whether they are used or not
+        # it binds these ports whether they are used or not
         *("--rc-in-port", str(rc_port)),
         *("--irlock-port", str(irlock_port)),
     ]

@@ -1,8 +1,8 @@
-"""Lets the mission's clock follow an autopilot that keeps its own time, and asks that for less haste where it must.
+"""Makes the mission's clock follow an autopilot that keeps its own time, and limits that autopilot's speed-up.
 
-ArduPilot's SITL runs as fast as it was told to, or as fast as the computer lets it, and nobody can hold it. What can be
-done: the mission's time is the autopilot's (SYSTEM_TIME, 2), so that no time-out passes that it has not lived through;
-and where a command takes too long in its seconds, it is asked to slow down (`SIM_SPEEDUP`), and to hurry again later.
+ArduPilot's SITL runs at its configured speed-up, or as fast as the computer permits, and cannot be paused. So the
+mission's time is the autopilot's (SYSTEM_TIME, 2), which keeps timeouts consistent with simulated time; and where a
+command takes too long in simulated seconds, the speed-up is reduced (`SIM_SPEEDUP`), and raised again later.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import structlog
 from panoexec.adapters.link.message_hub import MavMessage
 from panoexec.adapters.link.stream_health import Stream
 from panoexec.clock import VehicleClock
-from panoexec.dryrun.lockstep import Hears
+from panoexec.dryrun.lockstep import MessageSource
 from panoexec.errors import DeviceError
 
 AUTOPILOT: Final = 1
@@ -28,29 +28,29 @@ _LOOK_S: Final = 0.25
 _SILENT_LOOKS: Final = 20
 
 WORK_S: Final = 0.06
-"""What real work (a command and its answer, a write of the journal) may take in the vehicle's seconds. From the photo
-command to the shutter 0.15 s are allowed, of which the camera needs a part."""
+"""Permitted duration of real work (a command and its acknowledgement, a journal write) in simulated seconds. From the
+photo command to the shutter 0.15 s are permitted, of which the camera needs a part."""
 _MEMORY: Final = 0.3
 _LEAST_CHANGE: Final = 1.15
 _LONGEST_S: Final = 1.0
-"""Work that takes longer waits for an answer that does not come, and says nothing of the computer."""
+"""Longer work waits for a missing answer, and does not measure the computer's speed."""
 
 _log = structlog.get_logger(__name__)
 
 
-class Haste:
-    """How fast a simulation may be, by what real work costs in its seconds."""
+class SpeedupController:
+    """Adapts the speed-up of a simulation to the duration of real work in simulated seconds."""
 
     def __init__(self, wanted: float) -> None:
-        """Args: the speed that was asked for, simulated seconds a second."""
+        """Args: the requested speed-up, simulated seconds per second."""
         self.speed = self._wanted = wanted
         self._mean_s = math.nan
 
-    def worked(self, vehicle_s: float) -> bool:
-        """Take what some work cost in the vehicle's seconds; True if the speed shall change."""
+    def record(self, vehicle_s: float) -> bool:
+        """Record the duration of some work in simulated seconds; return True if the speed-up should change."""
         cost_s = min(vehicle_s, _LONGEST_S)
         self._mean_s = cost_s if math.isnan(self._mean_s) else self._mean_s + _MEMORY * (cost_s - self._mean_s)
-        # never below real time: that is what a real vehicle has
+        # never slower than real time, the speed of a real vehicle
         best = min(self._wanted, max(min(1.0, self._wanted), self.speed * WORK_S / max(self._mean_s, 1e-3)))
         best = min(best, 1.5 * self.speed)
         if max(best, self.speed) < _LEAST_CHANGE * min(best, self.speed):
@@ -61,12 +61,12 @@ class Haste:
 
 
 class ClockFollower:
-    """Tells a mission's clock the time of an autopilot."""
+    """Sets a mission's clock to the time of an autopilot."""
 
     def __init__(self, clock: VehicleClock) -> None:
-        """Args: the clock; nobody else tells it the time."""
+        """Args: the clock; no other object may set it."""
         self._clock = clock
-        self._haste: Haste | None = None
+        self._controller: SpeedupController | None = None
         self._set_speed: Callable[[float], Awaitable[None]] | None = None
         self._setting: asyncio.Task[None] | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -77,8 +77,8 @@ class ClockFollower:
         self._began_s = math.nan
 
     @contextlib.contextmanager
-    def following(self, link: Hears) -> Iterator[None]:
-        """Follow while the block runs, on the running event loop."""
+    def following(self, link: MessageSource) -> Iterator[None]:
+        """Follow the autopilot while the block runs, on the running event loop."""
         self._loop = asyncio.get_running_loop()
         self._clock.on_told, self._clock.on_work = self._wake, self._work_begins
         off = link.on(TIME_STREAM.name, self._hear)
@@ -94,15 +94,15 @@ class ClockFollower:
                 self._setting.cancel()
 
     def govern(self, wanted: float, set_speed: Callable[[float], Awaitable[None]]) -> None:
-        """From now on slow the autopilot down where work takes too long in its seconds.
+        """From now on reduce the speed-up where work takes too long in simulated seconds.
 
         Args:
-            wanted: speed at most, simulated seconds a second.
-            set_speed: asks the autopilot for one; may raise DeviceError.
+            wanted: maximum speed-up, simulated seconds per second.
+            set_speed: sets the speed-up of the autopilot; may raise DeviceError.
         """
-        self._haste, self._set_speed = Haste(wanted), set_speed
+        self._controller, self._set_speed = SpeedupController(wanted), set_speed
 
-    # --- in the vendor's thread
+    # --- in MAVSDK's callback thread
 
     def _hear(self, message: MavMessage) -> None:
         if message.component_id != AUTOPILOT:
@@ -116,37 +116,37 @@ class ClockFollower:
 
     def _wake(self) -> None:
         if self._loop is not None:
-            with contextlib.suppress(RuntimeError):  # the loop was closed: nobody waits any more
+            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
                 self._loop.call_soon_threadsafe(self._turn)
 
-    # --- on the loop
+    # --- on the event loop
 
     def _turn(self) -> None:
         self._clock.wake()
         if not self._clock.is_at_work and not math.isnan(self._began_s):
             cost_s, self._began_s = self._clock.monotonic() - self._began_s, math.nan
-            if self._haste is not None and self._haste.worked(cost_s) and self._setting is None:
-                self._setting = asyncio.create_task(self._set(), name="speed of the simulation")
+            if self._controller is not None and self._controller.record(cost_s) and self._setting is None:
+                self._setting = asyncio.create_task(self._set(), name="set the speed-up")
 
     def _work_begins(self) -> None:
         self._began_s = self._clock.monotonic()
 
     async def _set(self) -> None:
-        assert self._haste is not None
+        assert self._controller is not None
         assert self._set_speed is not None
         told = math.nan
         try:
-            while told != self._haste.speed:  # it may change on the way
-                told = self._haste.speed
-                _log.debug("speed of the simulation", speed=told)
+            while told != self._controller.speed:  # it may change meanwhile
+                told = self._controller.speed
+                _log.debug("changing the speed-up of the simulation", speed=told)
                 await self._set_speed(told)
         except DeviceError as error:
-            _log.debug("the speed was not changed", error=str(error))
+            _log.debug("changing the speed-up failed", error=str(error))
         finally:
             self._setting = None
 
     def _watch(self, since_s: float, told: int, looks: int) -> None:
-        """See that time goes on without an autopilot that is silent: nobody may wait for a dead one."""
+        """Advance the time while the autopilot is silent, so that nobody waits forever for a lost one."""
         assert self._loop is not None
         now_s = self._loop.time()
         looks = looks + 1 if self._told == told else 0

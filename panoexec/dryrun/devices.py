@@ -1,4 +1,4 @@
-"""The vehicle under test as a mission sees it: started, connected to, its devices found, flown where it must be."""
+"""Devices of a dry-run: starts the vehicle, connects, discovers gimbal and camera, takes off if needed."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from panoexec.mission.settings import MissionSettings
 from panoexec.store.session import Devices
 
 FIND_S = 30.0
-"""Real seconds within which the simulated vehicle must be found."""
+"""Timeout for discovering the simulated devices, seconds of real time."""
 
 HOVER_M = 30.0
-"""Height above the ground at which a vehicle that must be flown takes its panorama."""
+"""Hover height above ground for the panorama, metres."""
 
 
 @asynccontextmanager
 async def devices_on(
     vehicle_under_test: VehicleUnderTest, *, images: Path | None, clock: Clock, note: Callable[[str], None]
 ) -> AsyncIterator[tuple[Devices, Rig]]:
-    """A vehicle with gimbal and camera, found and streaming while the block runs; in the air, if it is ours to fly.
+    """The devices of a running vehicle, discovered and streaming; airborne, if the rig is ours to fly.
 
-    It lands after the block, but not after one that failed: what is simulated just ends then.
+    The vehicle lands after the block, unless the block failed: then the simulation is just stopped.
 
     Raises:
-        PanoexecError: it could not be started, found or flown.
+        PanoexecError: starting, discovery or take-off failed.
     """
     async with AsyncExitStack() as stack:
         rig = await stack.enter_async_context(vehicle_under_test.running(images=images, note=note))
@@ -75,7 +75,7 @@ async def devices_on(
         note("landing")
         try:
             await pilot.land()
-        except DeviceError as error:  # the panorama is taken all the same; its summary must not be lost
+        except DeviceError as error:  # the panorama is complete: keep its summary
             note(str(error))
             rig.about["landed"] = False
         else:
@@ -84,13 +84,13 @@ async def devices_on(
 
 
 def _streams(rig: Rig, clock: Clock) -> tuple[Stream, ...]:
-    """What to ask the autopilot for: its time too, where that is the clock's."""
+    """The message streams to request, including the autopilot's time if the clock follows it."""
     follows = isinstance(clock, VehicleClock) and rig.allow is None
     return (*DEFAULT_STREAMS, TIME_STREAM) if follows else DEFAULT_STREAMS
 
 
 async def _autopilot_version(link: MavsdkLink) -> str:
-    """Its firmware's version as AUTOPILOT_VERSION (148) tells it, "" if it does not."""
+    """The firmware version from AUTOPILOT_VERSION (148), "" if unavailable."""
     try:
         fields = (await link.requests.message(148, "AUTOPILOT_VERSION")).fields
     except DeviceError:
@@ -101,8 +101,8 @@ async def _autopilot_version(link: MavsdkLink) -> str:
 
 
 def settings_on(rig: Rig, devices: Devices, settings: MissionSettings, note: Callable[[str], None]) -> MissionSettings:
-    """The settings for this vehicle: one that stands on a bench is not asked to hover."""
+    """The settings for this vehicle: for one on the ground, the flight guards are disabled."""
     if not rig.may_stand or devices.vehicle.status.in_air:
         return settings
-    note("the vehicle stands on the ground and is left there: no guard of its flight")
+    note("the vehicle is on the ground and stays there: flight guards are disabled")
     return replace(settings, guards=replace(settings.guards, position_hold=False, position_drift_m=math.inf))

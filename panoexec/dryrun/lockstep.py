@@ -1,11 +1,10 @@
-"""Keeps a simulated vehicle and the mission on it at one time, however busy the computer is.
+"""Runs a simulated vehicle and its mission in lockstep, independent of the load of the computer.
 
-The vehicle tells its time in the stream of its messages; the mission's clock (`VehicleClock`) shows that time and no
-other. The vehicle in turn is only allowed to live a little further than what arrived here, and not beyond the next
-moment that somebody on the clock waits for: so a command goes out at the simulated moment at which the mission decided
-on it. While something takes real time (a command that is to be answered, the journal's disk), simulated time goes on
-as fast as real time at most, in steps each of which must arrive here first: on a computer that is ten times slower, it
-passes ten times slower too.
+The vehicle sends its time in the stream of its messages, and the mission's clock (`VehicleClock`) shows exactly that
+time. The vehicle in turn may advance only slightly beyond the messages received here, and not beyond the next wake-up
+on the mission's clock: so a command is sent at the simulated time at which the mission decided on it. While something
+takes real time (an unacknowledged command, a write to the journal), simulated time advances at most as fast as real
+time, in steps that must each arrive here first: on a computer that is ten times slower, time passes ten times slower.
 """
 
 from __future__ import annotations
@@ -18,29 +17,29 @@ from typing import Final, Protocol
 
 from panoexec.adapters.link.message_hub import Handler, MavMessage
 from panoexec.clock import RESOLUTION_S, VehicleClock
-from panoexec.sim.pacing import TIME_COMPONENT, TIME_MESSAGE, TIME_NAME, told_time_s
+from panoexec.sim.pacing import TIME_COMPONENT, TIME_MESSAGE, TIME_NAME, time_from_fields
 
 Allow = Callable[[float, float], None]
-"""Lets simulated time go on: until when, and how fast (`SimulatorProcess.allow`)."""
+"""Sets the limits of simulated time: the end, and the speed (`SimulatorProcess.allow`)."""
 
 AHEAD_S: Final = 0.02
-"""How far the vehicle may be ahead of what arrived here; as long as from one attitude to the next."""
+"""How far the vehicle may be ahead of the messages received here: the interval of two attitudes."""
 STEP_S: Final = 0.005
-"""Likewise while something takes real time."""
+"""The same while something takes real time."""
 BEGIN_EVERY_S: Final = 10.0
-"""Missions begin at multiples of this: then the same gusts blow in them, however long it took to connect."""
+"""Missions begin at multiples of this time, so that gusts are reproducible whatever the time to connect."""
 _BEGIN_SPEED: Final = 10.0
 _BEGIN_AHEAD_S: Final = 0.2
-"""Nobody does anything yet; but MAVSDK keeps 100 messages at most."""
+"""A larger step is possible as nobody acts yet; but MAVSDK buffers at most 100 messages."""
 _TURNS: Final = 6
-"""Turns of the event loop in which whoever was woken may go to work, before time goes on."""
+"""Iterations of the event loop in which woken tasks may start work before time advances."""
 _LOOK_S: Final = 0.25
 _SILENT_LOOKS: Final = 20
-"""So many looks at a vehicle that says nothing, and time goes on by itself: nobody may wait for a dead one."""
+"""Number of checks without a message after which time advances by itself, so that nobody waits for a lost vehicle."""
 
 
-class Hears(Protocol):
-    """What a `MavsdkLink` is here."""
+class MessageSource(Protocol):
+    """The part of `MavsdkLink` that is used here."""
 
     def on(self, name: str, handler: Handler) -> Callable[[], None]:
         """See `MavsdkLink.on`."""
@@ -48,15 +47,15 @@ class Hears(Protocol):
 
 
 class Lockstep:
-    """Tells the clock what the vehicle's time is, and the vehicle how far it may go."""
+    """Sets the mission's clock to the vehicle's time, and the limits of the vehicle's time."""
 
     def __init__(self, clock: VehicleClock, allow: Allow, *, speedup: float) -> None:
-        """Describe it.
+        """Create it.
 
         Args:
-            clock: of the mission; nobody else tells it the time.
-            allow: lets the vehicle go on.
-            speedup: simulated seconds a second at most, once the mission has begun.
+            clock: the mission's clock; no other object may set it.
+            allow: sets the limits of the vehicle's time.
+            speedup: maximum simulated seconds per second once the mission has begun.
         """
         self._clock = clock
         self._allow = allow
@@ -69,8 +68,8 @@ class Lockstep:
         self._timer: asyncio.TimerHandle | None = None
 
     @contextlib.contextmanager
-    def keeping(self, link: Hears) -> Iterator[None]:
-        """Keep time while the block runs, on the running event loop; in real time until `begin`."""
+    def keeping(self, link: MessageSource) -> Iterator[None]:
+        """Keep lockstep while the block runs, on the running event loop; in real time until `begin`."""
         self._loop = asyncio.get_running_loop()
         self._clock.on_told, self._clock.on_work = self._look, self._go_on
         self._clock.look_at_s = 0.0
@@ -84,28 +83,28 @@ class Lockstep:
                 self._timer.cancel()
 
     async def begin(self) -> None:
-        """Return at the next moment at which missions begin; from then on time goes as fast as it was asked to."""
+        """Return at the next start time of missions; from then on the requested speed-up applies."""
         self._speed, self._ahead_s = max(_BEGIN_SPEED, self._speedup), _BEGIN_AHEAD_S
         now_s = self._clock.monotonic()
         await self._clock.sleep(BEGIN_EVERY_S * (math.floor(now_s / BEGIN_EVERY_S) + 1) - now_s)
         self._speed, self._ahead_s = self._speedup, AHEAD_S
 
-    # --- in the vendor's thread
+    # --- in MAVSDK's callback thread
 
     def _hear(self, message: MavMessage) -> None:
         fields = message.fields
         if message.component_id == TIME_COMPONENT and str(fields["name"]).rstrip("\0") == TIME_NAME:
             self._told += 1
-            self._clock.tell(told_time_s(int(fields["time_boot_ms"]), int(fields["value"])))
+            self._clock.tell(time_from_fields(int(fields["time_boot_ms"]), int(fields["value"])))
 
     def _look(self) -> None:
-        """Somebody is to be woken, or the vehicle to be let go on; from any thread."""
+        """Schedule waking of sleepers and advancing of the vehicle; from any thread."""
         if not self._turning and self._loop is not None:
             self._turning = True
-            with contextlib.suppress(RuntimeError):  # the loop was closed: nobody waits any more
+            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
                 self._loop.call_soon_threadsafe(self._turn, _TURNS)
 
-    # --- on the loop
+    # --- on the event loop
 
     def _turn(self, left: int) -> None:
         assert self._loop is not None
@@ -117,7 +116,7 @@ class Lockstep:
         self._go_on()
 
     def _go_on(self) -> None:
-        """Let the vehicle go on from what arrived of it."""
+        """Let the vehicle advance beyond the time received from it."""
         clock = self._clock
         now_s = clock.monotonic()
         if clock.is_at_work:
@@ -126,7 +125,7 @@ class Lockstep:
             until_s, speed = max(now_s, min(now_s + self._ahead_s, clock.next_s)), self._speed
         clock.look_at_s = min(until_s, now_s + self._ahead_s / 2) - RESOLUTION_S
         self._let(until_s, speed)
-        if clock.monotonic() >= clock.look_at_s:  # it was told in between
+        if clock.monotonic() >= clock.look_at_s:  # a new time arrived meanwhile
             self._look()
 
     def _let(self, until_s: float, speed: float) -> None:
@@ -136,15 +135,15 @@ class Lockstep:
             self._allow(until_s, speed)
 
     def _watch(self, since_s: float, told: int, looks: int) -> None:
-        """See that time goes on where nothing is heard, and look again after a while.
+        """Check periodically that time advances.
 
-        Before the first word, when nobody can hear it yet, the vehicle goes on in real time. Later a word may have been
-        lost: a little more is allowed then. One that stays silent is dead, and time goes on without it.
+        Before the first message, when nothing is received yet, the vehicle advances in real time. Later a message may
+        have been lost: then a small step is allowed. A vehicle that stays silent is lost, and time advances without it.
 
         Args:
-            since_s: the last look, in the loop's time.
-            told: how often the time had been told by then.
-            looks: for how many looks it has been silent.
+            since_s: time of the last check, in the event loop's time.
+            told: number of times received up to the last check.
+            looks: number of checks without a message.
         """
         assert self._loop is not None
         now_s = self._loop.time()

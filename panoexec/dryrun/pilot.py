@@ -1,6 +1,6 @@
-"""A pilot for simulated flights: takes a real ArduCopter's software up, holds it, brings it down.
+"""A pilot for simulated flights: arms an ArduCopter SITL, takes off, lands.
 
-Nobody flies a real drone with this: the mission needs a vehicle that hovers already.
+It is not used on real vehicles: a mission starts with a vehicle that hovers already.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _STILL_PATIENCE_S: Final = 40.0
 _STILL_REAL_S: Final = 10.0
 _EARTH_M: Final = 6_371_000.0
 _LEAST_REAL_S: Final = 60.0
-"""No patience is shorter than this in real time: a sped-up simulation may not get as fast as it was told to be."""
+"""Minimum of all timeouts in real time: a simulation may not reach its requested speed-up."""
 _MULTIROTORS: Final = frozenset({2, 3, 4, 13, 14, 15, 29})
 """MAV_TYPE: quadrotor, coaxial, helicopter, hexa-, octo-, tri- and dodecarotor."""
 
@@ -49,26 +49,24 @@ class MavsdkPilot:
     """Flies an ArduCopter in simulation."""
 
     def __init__(self, link: MavsdkLink, vehicle: Vehicle, *, clock: Clock) -> None:
-        """Args: the link, entered; the vehicle on it, entered; the clock that timeouts run on."""
+        """Args: the link and the vehicle, both entered; the clock of the timeouts."""
         self._link = link
         self._vehicle = vehicle
         self._clock = clock
 
     async def take_off(self, height_m: float = 30.0, *, timeout_s: float = 180.0) -> None:
-        """Arm in GUIDED as soon as the vehicle lets itself be armed, climb, and return when it hovers there.
+        """Arm in GUIDED as soon as the autopilot permits, climb, and return when the vehicle hovers.
 
         Args:
             height_m: above the take-off point.
-            timeout_s: for each stage (GPS, estimator and arming, climbing); a simulated estimator needs some 40 s.
+            timeout_s: for each stage (GPS, estimator and arming, climb); a simulated estimator needs some 40 s.
 
         Raises:
-            DeviceError: refused to the end, or not there in time; with what the autopilot said.
+            DeviceError: denied until the timeout, or not reached in time; includes the autopilot's STATUSTEXT.
         """
         kind, _ = self._link.components.get(AUTOPILOT, (-1, 0.0))
         if kind not in _MULTIROTORS:
-            raise DeviceError(
-                f"the vehicle is no multirotor (MAV_TYPE {kind}); only one of those hovers for a panorama"
-            )
+            raise DeviceError(f"the vehicle is not a multirotor (MAV_TYPE {kind}); a panorama needs one that hovers")
         with self._listening() as said:
             await self._wait_gps(timeout_s)
             await self._must(DO_SET_MODE, [_CUSTOM_MODE, _COPTER_GUIDED], "changing to GUIDED")
@@ -82,16 +80,16 @@ class MavsdkPilot:
     async def go_to(
         self, latitude_deg: float, longitude_deg: float, altitude_m: float, heading_deg: float = float("nan")
     ) -> None:
-        """Send it somewhere; returns when that was accepted, not when it is there.
+        """Fly to a position; returns when the command was accepted, not on arrival.
 
         Args:
-            latitude_deg: where.
-            longitude_deg: where.
+            latitude_deg: of the destination.
+            longitude_deg: of the destination.
             altitude_m: above mean sea level.
             heading_deg: clockwise from north; NaN leaves it to the autopilot.
 
         Raises:
-            DeviceError: refused or not answered.
+            DeviceError: denied or not acknowledged.
         """
         action = self._link.requests.plugin(Action)
         await self._link.requests.mavsdk_call(
@@ -102,17 +100,17 @@ class MavsdkPilot:
         """Land and return when the motors are off.
 
         Raises:
-            DeviceError: refused, or not down in time.
+            DeviceError: denied, or not landed in time.
         """
         action = self._link.requests.plugin(Action)
         await self._link.requests.mavsdk_call("landing", action.land)
         await self._wait(lambda: not self._vehicle.status.armed, timeout_s, "landing")
 
     async def set_speed(self, speed: float) -> None:
-        """Ask ArduPilot's SITL for another speed (PARAM_SET of SIM_SPEEDUP); nothing is known of whether it obeys.
+        """Set the speed-up of ArduPilot's SITL (PARAM_SET of SIM_SPEEDUP); the result is not verified.
 
         Args:
-            speed: simulated seconds a second.
+            speed: simulated seconds per second.
 
         Raises:
             DeviceError: not sent.
@@ -133,7 +131,7 @@ class MavsdkPilot:
 
     @contextmanager
     def _listening(self) -> Iterator[list[str]]:
-        """What the autopilot says of why it may not be armed, the newest of each last."""
+        """The autopilot's latest reasons for refusing to arm (STATUSTEXT, 253), the newest last."""
         said: list[str] = []
 
         def hear(message: MavMessage) -> None:
@@ -148,24 +146,24 @@ class MavsdkPilot:
             off()
 
     async def _wait_gps(self, timeout_s: float) -> None:
-        patience = _Patience(self._clock, timeout_s)
+        timeout = _Timeout(self._clock, timeout_s)
         fix = 0
         while fix < _FIX_3D:
-            if patience.is_over:
-                raise DeviceError(f"no GPS fix within {timeout_s:g} s (fix type {fix}, 3 is needed)")
+            if timeout.expired:
+                raise DeviceError(f"no GPS fix within {timeout_s:g} s (fix type {fix}, 3 is required)")
             try:
                 fix = int((await self._link.requests.message(_GPS_RAW_INT, "GPS_RAW_INT")).fields["fix_type"])
             except DeviceError as error:
-                _log.debug("no word of the GPS yet", error=str(error))
+                _log.debug("no GPS status yet", error=str(error))
             await self._clock.sleep(_STEP_S)
 
     async def _arm(self, timeout_s: float, said: list[str]) -> None:
-        patience = _Patience(self._clock, timeout_s)
+        timeout = _Timeout(self._clock, timeout_s)
         action = self._link.requests.plugin(Action)
         refusal = ""
         while not self._vehicle.status.armed:
-            if patience.is_over:
-                why = "; ".join(said) or refusal or "it did not say why"
+            if timeout.expired:
+                why = "; ".join(said) or refusal or "no reason given"
                 raise DeviceError(f"the autopilot could not be armed within {timeout_s:g} s: {why}")
             try:
                 await self._link.requests.mavsdk_call("arming", action.arm)
@@ -174,23 +172,23 @@ class MavsdkPilot:
             await self._clock.sleep(2 * _STEP_S)
 
     async def _wait_still(self) -> None:
-        """Return when it stays where it is; wind displaces it while it climbs, and it comes back at its leisure.
+        """Return when the vehicle holds its position; wind displaces it during the climb.
 
-        A wind in which it never stands still is the mission's business, so patience is short.
+        If it never does in strong wind, the mission's guards decide, so the timeout is short.
         """
-        patience = _Patience(self._clock, _STILL_PATIENCE_S, least_real_s=_STILL_REAL_S)
+        timeout = _Timeout(self._clock, _STILL_PATIENCE_S, least_real_s=_STILL_REAL_S)
         track: deque[VehicleStatus] = deque(maxlen=round(_STILL_S / _STEP_S) + 1)
-        while not patience.is_over:
+        while not timeout.expired:
             track.append(self._vehicle.status)
             if len(track) == track.maxlen and all(_apart_m(track[-1], past) < _STILL_M for past in track):
                 return
             await self._clock.sleep(_STEP_S)
 
     async def _wait(self, done: Callable[[], bool], timeout_s: float, what: str) -> None:
-        patience = _Patience(self._clock, timeout_s)
+        timeout = _Timeout(self._clock, timeout_s)
         while not done():
-            if patience.is_over:
-                raise DeviceError(f"{what}: not done within {timeout_s:g} s")
+            if timeout.expired:
+                raise DeviceError(f"{what}: not completed within {timeout_s:g} s")
             await self._clock.sleep(_STEP_S)
 
 
@@ -200,8 +198,8 @@ def _apart_m(a: VehicleStatus, b: VehicleStatus) -> float:
     return math.hypot(north, east, a.relative_altitude_m - b.relative_altitude_m)
 
 
-class _Patience:
-    """A time limit on the mission's clock, but not a short one in real time."""
+class _Timeout:
+    """A timeout on the mission clock with a minimum in real time."""
 
     def __init__(self, clock: Clock, timeout_s: float, *, least_real_s: float | None = None) -> None:
         self._clock = clock
@@ -209,6 +207,6 @@ class _Patience:
         self._end_real_s = time.monotonic() + min(timeout_s, _LEAST_REAL_S if least_real_s is None else least_real_s)
 
     @property
-    def is_over(self) -> bool:
-        """Whether it has been long enough."""
+    def expired(self) -> bool:
+        """Whether the timeout has expired."""
         return self._clock.monotonic() > self._end_s and time.monotonic() > self._end_real_s

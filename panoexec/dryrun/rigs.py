@@ -1,4 +1,4 @@
-"""What a dry-run is flown on: each kind of vehicle is started, joined to its payload, watched and ended alike."""
+"""Vehicles for dry-runs: each kind is started, joined to its payload, monitored and stopped in the same way."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from panoexec.sim.process import SimulatorProcess, running_simulator
 Note = Callable[[str], None]
 HOST = "127.0.0.1"
 SHUTTER_OUTPUT = 9
-"""The autopilot's output that a camera on a servo hangs on; the motors have the first ones."""
+"""The servo output of the camera trigger; the motors use the first ones."""
 _CAMERA_FAULTS = frozenset({"photo-lost", "photo-refused", "capture-lost", "capture-twice", "storage-full"})
-"""What a camera can do wrong that speaks for itself."""
+"""Faults of a camera that sends its own messages."""
 FULL_WIND_M = 25
-"""Height from which on the wind is as strong as it was asked to be."""
+"""Height from which the wind has its full speed, metres."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rig:
-    """A vehicle that runs and can be connected to.
+    """A running vehicle to connect to.
 
     Attributes:
         connection: for `MavsdkLink`.
-        must_fly: it stands on the ground and is ours to arm, take off and land.
-        may_stand: it is not ours; a mission may be flown on it while it stands on a bench.
-        allow: lets its time go on, for `Lockstep`; None: it goes on by itself.
-        may_slow: it can be asked for another speed (`SIM_SPEEDUP`).
-        about: for the manifest.
+        must_fly: it is on the ground and must be armed, flown and landed by the dry-run.
+        may_stand: it is not controlled by the dry-run; a mission may be run on it on the ground.
+        allow: sets the limits of its time, for `Lockstep`; None: its time cannot be controlled.
+        may_slow: its speed-up can be changed (`SIM_SPEEDUP`).
+        about: description for the manifest.
     """
 
     connection: str
@@ -51,28 +51,28 @@ class Rig:
 
 
 class VehicleUnderTest(Protocol):
-    """A vehicle that a dry-run can be flown on."""
+    """A vehicle for a dry-run."""
 
     @property
     def speedup(self) -> float:
-        """Its seconds a second."""
+        """Its speed-up, simulated seconds per second."""
         ...
 
     def clock(self) -> Clock:
-        """A clock for the mission that is flown on it."""
+        """A clock for a mission on this vehicle."""
         ...
 
     def running(self, *, images: Path | None, note: Note) -> AbstractAsyncContextManager[Rig]:
-        """It runs while the block does, which is cancelled when a part of it dies.
+        """Run the vehicle while the block runs; the block is cancelled when a part of the vehicle fails.
 
         Args:
-            images: where its camera puts photos; None for none.
-            note: takes what there is to say to people, line by line.
+            images: directory for its camera's photos; None for no photos.
+            note: receives messages for display, line by line.
 
         Raises:
-            UsageError: it cannot be started as it was described.
-            LinkError: a port is in use, or nobody answers.
-            DeviceError: it did not start, or died.
+            UsageError: its options are invalid.
+            LinkError: a port is in use, or the autopilot does not respond.
+            DeviceError: it did not start, or exited.
         """
         ...
 
@@ -98,27 +98,27 @@ class EmbeddedVehicle:
         (port,) = free_udp_ports(1)
         config = replace(self.simulation, host=HOST, port=port, listen=False, attach_url=None, output=images)
         about = {"autopilot": config.autopilot, "simulated": "embedded", "seed": config.seed}
-        async with running_simulator(config, note=note, leashed=True) as simulator, _watching(_watch(simulator)):
+        async with running_simulator(config, note=note, paced=True) as simulator, _watching(_watch(simulator)):
             yield Rig(connection=f"udpin://{HOST}:{port}", allow=simulator.allow, about=about)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SitlVehicle:
-    """ArduCopter's own software (SITL), with our payload on its second serial port; must be flown.
+    """ArduCopter SITL with our payload on its second serial port; it must be flown.
 
     Attributes:
         binary: from `sitl_binary`.
-        simulation: payload, wind, home, seed, speed-up; what it says of the embedded autopilot does not count.
+        simulation: payload, wind, home, seed, speed-up; settings of the embedded autopilot are ignored.
     """
 
     binary: Path
     simulation: SimConfig
 
     def __post_init__(self) -> None:
-        """Refuse what a real autopilot cannot be told.
+        """Reject settings that a real autopilot does not support.
 
         Raises:
-            UsageError: naming it.
+            UsageError: names the setting.
         """
         check_payload_only(self.simulation, option="--sitl")
 
@@ -156,27 +156,27 @@ class SitlVehicle:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConnectedVehicle:
-    """A vehicle that runs already: somebody else's SITL, or one on a bench. It is never armed and never flown.
+    """A vehicle that is already running: an external SITL, or one on a bench. It is never armed nor flown.
 
     Attributes:
-        connection: as MAVSDK writes it.
-        simulation: speed-up (the vehicle's own); with an `attach_url` our payload joins the autopilot there.
+        connection: MAVSDK connection string.
+        simulation: speed-up (that of the vehicle); with an `attach_url` our payload joins the autopilot there.
     """
 
     connection: str
     simulation: SimConfig
 
     def __post_init__(self) -> None:
-        """Refuse what a real autopilot cannot be told, and a connection that is none.
+        """Reject settings that a real autopilot does not support, and invalid connection strings.
 
         Raises:
-            UsageError: naming it.
+            UsageError: names the setting.
         """
         parse_connection(self.connection)
         check_payload_only(self.simulation, option="--sitl-connect")
         if self.simulation.faults and self.simulation.attach_url is None:
             name = self.simulation.faults[0].name
-            raise UsageError(f"--fault {name}: --sitl-connect without --attach has nothing simulated that could fail")
+            raise UsageError(f"--fault {name}: not available with --sitl-connect without --attach (nothing simulated)")
 
     @property
     def speedup(self) -> float:
@@ -185,7 +185,7 @@ class ConnectedVehicle:
 
     def clock(self) -> Clock:
         """See `VehicleUnderTest.clock`."""
-        # a vehicle on a bench has real time, and may have nobody who tells it
+        # a vehicle on a bench runs in real time, and may not send SYSTEM_TIME
         return SystemClock() if self.speedup == 1 else VehicleClock()
 
     @contextlib.asynccontextmanager
@@ -201,14 +201,14 @@ class ConnectedVehicle:
 
 
 def wind_parameters(simulation: SimConfig) -> dict[str, float]:
-    """SITL's parameters for the wind: gusting about its mean by an eighth of it, less near the ground.
+    """SITL's wind parameters: gusts of an eighth of the mean speed, and less wind near the ground.
 
-    With the same wind down to the ground ArduCopter, which leans against it, does not believe that it has landed
-    (measured: 8 m/s).
+    With full wind down to the ground, an ArduCopter that tilts against it does not detect the landing (measured at
+    8 m/s).
     """
     airframe = simulation.airframe
     return {
-        "SIM_WIND_T": 0,  # with the square root of the height, up to SIM_WIND_T_ALT
+        "SIM_WIND_T": 0,  # proportional to the square root of the height, up to SIM_WIND_T_ALT
         "SIM_WIND_T_ALT": FULL_WIND_M,
         "SIM_WIND_SPD": airframe.wind_m_s,
         "SIM_WIND_DIR": airframe.wind_from_deg,
@@ -217,10 +217,10 @@ def wind_parameters(simulation: SimConfig) -> dict[str, float]:
 
 
 def payload_parameters(simulation: SimConfig) -> dict[str, float]:
-    """What the autopilot must know of the payload, where it is not the usual one.
+    """Autopilot parameters for a payload that differs from the default.
 
     A pan range of 0 to 0 tells ArduPilot that the mount has two axes. A camera on a servo is triggered by an output of
-    the autopilot, and reported by it (CAMERA_FEEDBACK) and nobody else.
+    the autopilot, which is the only component to report it (CAMERA_FEEDBACK).
     """
     gimbal = simulation.gimbal
     parameters: dict[str, float] = {}
@@ -232,32 +232,30 @@ def payload_parameters(simulation: SimConfig) -> dict[str, float]:
 
 
 def check_payload_only(simulation: SimConfig, *, option: str) -> None:
-    """Refuse settings of the simulated autopilot where there is a real one.
+    """Reject settings of the simulated autopilot for a vehicle with a real one.
 
     Raises:
-        UsageError: naming option and setting.
+        UsageError: names option and setting.
     """
     for spec in simulation.faults:
         if spec.name in AUTOPILOT_FAULTS:
-            raise UsageError(f"--fault {spec.name}: only the embedded autopilot has it, not that of {option}")
+            raise UsageError(f"--fault {spec.name}: only available with the embedded autopilot, not with {option}")
         if spec.name in _CAMERA_FAULTS and simulation.camera_kind == "servo":
-            raise UsageError(
-                f"--fault {spec.name}: with --trigger servo the autopilot of {option} speaks for the camera"
-            )
+            raise UsageError(f"--fault {spec.name}: with --trigger servo the autopilot of {option} reports the photos")
     if simulation.autopilot != "ardupilot":
         raise UsageError(f"--autopilot {simulation.autopilot}: {option} is an ArduPilot")
     if simulation.mount != "mavlink":
-        raise UsageError(f"--mount {simulation.mount} is of the embedded autopilot, not of {option}")
+        raise UsageError(f"--mount {simulation.mount} is only available with the embedded autopilot, not with {option}")
 
 
 async def _watch(simulator: SimulatorProcess) -> None:
     code = await simulator.wait()
-    raise DeviceError(f"the simulated payload has ended by itself (exit code {code})")
+    raise DeviceError(f"the simulated payload exited unexpectedly (exit code {code})")
 
 
 @contextlib.asynccontextmanager
 async def _watching(*watches: Coroutine[Any, Any, None]) -> AsyncIterator[None]:
-    """Run the block beside watches that raise when something dies; the block is cancelled then."""
+    """Run the block together with watch coroutines that raise when a process exits; the block is cancelled then."""
     try:
         async with asyncio.TaskGroup() as group:
             tasks = [group.create_task(watch, name="rig watch") for watch in watches]
@@ -269,7 +267,7 @@ async def _watching(*watches: Coroutine[Any, Any, None]) -> AsyncIterator[None]:
 
 
 def _plain(failures: BaseExceptionGroup[BaseException]) -> BaseException:
-    """The one failure to tell of: the first of ours; else the first."""
+    """The failure to report: the first PanoexecError, else the first one."""
     known, _ = failures.split(PanoexecError)
     group: BaseExceptionGroup[BaseException] = known or failures
     first: BaseException = group

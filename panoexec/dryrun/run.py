@@ -1,8 +1,8 @@
-"""The whole mission on a vehicle under test: the composition behind `panoexec dry-run`.
+"""A complete mission on a vehicle under test: the composition behind `panoexec dry-run`.
 
-The vehicle (the embedded simulation, ArduPilot's SITL, or one that runs already: `panoexec.dryrun.rigs`) speaks MAVLink
-over UDP; everything on this side is what flies a real one. Both run at the same speed-up, so a mission takes the same
-simulated seconds at any.
+The vehicle (the embedded simulation, ArduPilot's SITL, or one that is already running: `panoexec.dryrun.rigs`) speaks
+MAVLink over UDP; the mission side is the same as for a real one. Both run at the same speed-up, so a mission takes the
+same simulated time at any speed-up.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ from panoexec.store.session import Devices, MissionSession, StoredMission, creat
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DryRunOptions:
-    """What to fly, and on what.
+    """The mission to fly, and the vehicle.
 
     Attributes:
-        plan: the mission's.
-        settings: how to fly it.
+        plan: the mission's plan.
+        settings: the mission's settings.
         simulation: the simulated vehicle; its port and output are chosen here.
-        storage: the mission's directory comes below `missions` in it.
-        reference: what yaw 0 means.
-        images: whether the camera writes JPEGs into the mission's directory.
-        sitl: fly ArduPilot's SITL instead (the binary, see `panoexec.dryrun.autopilot.sitl_binary`).
-        connect: fly on a vehicle that runs already instead, without arming or moving it (connection string); the
+        storage: the mission directory is created in its folder `missions`.
+        reference: direction of yaw 0.
+        images: whether the camera writes JPEGs into the mission directory.
+        sitl: use ArduPilot's SITL instead (the binary, see `panoexec.dryrun.autopilot.sitl_binary`).
+        connect: use a vehicle that is already running instead, without arming or moving it (connection string); the
             simulated payload joins it if the simulation has an `attach_url`.
     """
 
@@ -63,34 +63,34 @@ class DryRunOptions:
 
     @property
     def vehicle(self) -> VehicleUnderTest:
-        """What is flown on.
+        """The vehicle for these options.
 
         Raises:
-            UsageError: the simulation asks for something that this vehicle cannot do.
+            UsageError: the simulation options are not available for this vehicle.
         """
         return vehicle_under_test(self.simulation, sitl=self.sitl, connect=self.connect)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DryRunSummary:
-    """How it went.
+    """Results of a dry-run.
 
     Attributes:
-        mission_id, directory: where it left everything.
-        state, reason: how it ended.
+        mission_id, directory: id and directory of the mission.
+        state, reason: final state.
         shots, accepted, attempts, retakes, missing: counts, and the indices of shots without a photo.
-        rejected: how many attempts were rejected for each code.
-        worst: the largest errors of all accepted shots, signs kept; None without one.
-        evidence: how many accepted shots at each level (the weakest photo's).
-        photos: JPEGs in the mission's directory.
+        rejected: number of rejected attempts for each code.
+        worst: the largest errors of all accepted shots, with sign; None without an accepted shot.
+        evidence: number of accepted shots at each evidence level (that of the weakest photo).
+        photos: JPEGs in the mission directory.
         duration_s: simulated seconds from the first slew to the last verdict.
-        limit_s: what the hardware allows at best for the same shots in the same order: slews at full rate and
-            acceleration, settle time, the camera's lag from command to shutter, exposure, camera interval.
-        trigger_delay_s: 99th percentile from settled to the trigger on the wire, in simulated seconds.
-        certificate: of the measured attitudes; None if the mission did not come that far.
-        vehicle: what it was flown on, as in the manifest; `landed` where it had to be.
-        turns: how often the vehicle was turned, where it pans.
-        report: the page that shows all of it.
+        limit_s: ideal duration for the same shots in the same order: slews at full rate and acceleration, settle time,
+            camera latency from command to shutter, exposure, camera interval.
+        trigger_delay_s: 99th percentile of the delay from settled to the trigger on the wire, simulated seconds.
+        certificate: of the measured attitudes; None if the mission did not compute it.
+        vehicle: description as in the manifest; `landed` if a landing was needed.
+        turns: number of turns of the vehicle, where it pans.
+        report: the HTML report.
     """
 
     mission_id: str
@@ -116,11 +116,11 @@ class DryRunSummary:
 
     @property
     def limit_ratio(self) -> float:
-        """Duration over limit; NaN where either is unknown."""
+        """Duration divided by the ideal duration; NaN if one is unknown."""
         return self.duration_s / self.limit_s if self.limit_s > 0 else math.nan
 
     def to_json(self) -> dict[str, Any]:
-        """For `--json`."""
+        """As a JSON object, for `--json`."""
         out = asdict(replace(self, certificate=None))
         certificate = self.certificate
         out["directory"] = str(self.directory)
@@ -142,17 +142,17 @@ async def run_dry_run(
 ) -> DryRunSummary:
     """Fly a new mission on a new simulated vehicle.
 
-    Cancelling it stops the mission at once and everything that was started; the mission can be resumed. One that had
-    not begun, because the vehicle could not be started, found or flown, leaves nothing.
+    Cancelling stops the mission at once and all started processes; the mission can be resumed. A mission that had not
+    begun, because starting, discovery or take-off failed, leaves no files.
 
     Args:
-        options: what and on what.
-        on_event: gets every event of the mission once it is durable.
-        on_mission: gets the mission just before it begins: for its verbs, and a look at its live state.
-        note: gets what the simulation has to say, line by line.
+        options: mission and vehicle.
+        on_event: receives every event of the mission once it is durable.
+        on_mission: receives the mission just before it begins: for operator commands and live state.
+        note: receives progress messages, line by line.
 
     Raises:
-        PanoexecError: something could not be started; nothing is left running.
+        PanoexecError: something could not be started; no process is left running.
     """
     vehicle = options.vehicle
     extra = {
@@ -189,17 +189,17 @@ async def resume_dry_run(
     on_mission: Callable[[Mission], None] = lambda _: None,
     note: Callable[[str], None] = lambda _: None,
 ) -> DryRunSummary:
-    """Go on with an interrupted dry-run on a new simulated vehicle; arguments as `run_dry_run`.
+    """Resume an interrupted dry-run on a new simulated vehicle; arguments as for `run_dry_run`.
 
     Args:
-        directory: the mission's.
-        simulation: changes the configuration of the simulated vehicle that the mission began with.
-        on_event: as above.
-        on_mission: as above.
-        note: as above.
+        directory: the mission directory.
+        simulation: changes the configuration of the original simulated vehicle.
+        on_event: as for `run_dry_run`.
+        on_mission: as for `run_dry_run`.
+        note: as for `run_dry_run`.
 
     Raises:
-        PanoexecError: the mission is over, is no dry-run, or something could not be started.
+        PanoexecError: the mission is over, is not a dry-run, or something could not be started.
     """
     stored = await open_mission(existing_mission_directory(directory))
     try:
@@ -215,16 +215,16 @@ async def resume_dry_run(
     except BaseException:
         await stored.journal.close()
         raise
-    # only of weight where a process died before it could put its first event on disk
+    # only relevant if the process died before its first event was on disk
     reference: Literal["north", "heading"] = "heading" if stored.extra.get("reference") == "heading" else "north"
     return await _fly(stored, vehicle, config, images, reference, on_event, on_mission, note)
 
 
 def vehicle_under_test(simulation: SimConfig, *, sitl: Path | None, connect: str | None) -> VehicleUnderTest:
-    """What is flown on: see `DryRunOptions`.
+    """The vehicle of a dry-run: see `DryRunOptions`.
 
     Raises:
-        UsageError: the simulation asks for something that this vehicle cannot do.
+        UsageError: the simulation options are not available for this vehicle.
     """
     if sitl is not None:
         return SitlVehicle(binary=sitl, simulation=simulation)
@@ -272,15 +272,15 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
                 turns = session.mission.turns
     except BaseException:
         await stored.journal.close()
-        # an interrupted mission leaves what there is; what went wrong first is what counts
+        # write the outputs of an interrupted mission, but report the original error
         with suppress(UsageError):
             await asyncio.to_thread(write_mission_outputs, stored.directory)
         raise
     await stored.journal.close()
     try:
         await asyncio.to_thread(write_mission_outputs, stored.directory)
-    except UsageError as error:  # the mission is what it is, and on disk
-        note(f"not everything could be written of the mission: {error}")
+    except UsageError as error:  # the mission itself is complete and on disk
+        note(f"some outputs of the mission could not be written: {error}")
     shots = _shots_flown(record, since_utc_s=began_utc_s)
     camera = simulation.camera
     steps_s = ideal_step_durations_s(
@@ -292,7 +292,7 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
 
 
 def _shots_flown(record: MissionRecord, *, since_utc_s: float) -> tuple[Shot, ...]:
-    """The shots tried since a moment, each once, in the order of their first attempt: patches too."""
+    """The shots attempted since a moment, each once, in the order of their first attempt; includes patch shots."""
     first = {
         attempt.started_utc_s: shot.shot
         for shot in record.shots.values()
@@ -302,7 +302,7 @@ def _shots_flown(record: MissionRecord, *, since_utc_s: float) -> tuple[Shot, ..
 
 
 def _pose_now(devices: Devices, reference_yaw_north_deg: float) -> tuple[float, float] | None:
-    """Pitch and yaw of the gimbal in the plan's frame; None if it does not say."""
+    """Pitch and yaw of the gimbal in the plan's frame; None if unknown."""
     feed = devices.gimbal.feed
     feed.ingest()
     sample = feed.latest
@@ -351,7 +351,7 @@ def summarise(
 
 
 def worst_of(errors: list[AxisErrors]) -> AxisErrors | None:
-    """The largest of each error by magnitude, signs kept; None of none."""
+    """The largest error of each axis by magnitude, with sign; None for an empty list."""
     if not errors:
         return None
     names = asdict(errors[0])

@@ -1,7 +1,7 @@
-"""Becomes another program that the kernel kills when its parent dies: `tether.py PARENT_PID PROGRAM [ARGUMENT…]`.
+"""Executes a program that the kernel kills when its parent dies: `tether.py PARENT_PID PROGRAM [ARGUMENT…]`.
 
-Run by path in an interpreter of its own, with nothing but the standard library, so that it is there in some 20 ms. The
-wish to die (`PR_SET_PDEATHSIG`) survives exec, and no signal handler of the program can refuse it.
+Run by path in an interpreter of its own, with the standard library only, so that it starts within some 20 ms. The
+parent-death signal (`PR_SET_PDEATHSIG`) survives exec, and SIGKILL cannot be handled by the program.
 """
 
 import ctypes
@@ -11,16 +11,16 @@ import sys
 
 _PR_SET_PDEATHSIG = 1
 CANNOT_RUN = 126
-"""Exit code, as a shell's, when the program cannot be executed."""
+"""Exit code, as in a shell, when the program cannot be executed."""
 
 
 def main(argv: list[str]) -> int:
-    """Never returns if all goes well."""
+    """Does not return on success."""
     parent, program = int(argv[0]), argv[1:]
     if ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
         print(f"{program[0]}: {os.strerror(ctypes.get_errno())}", file=sys.stderr)
         return CANNOT_RUN
-    if os.getppid() != parent:  # it died before the kernel knew of our wish
+    if os.getppid() != parent:  # the parent died before prctl
         return CANNOT_RUN
     try:
         os.execv(program[0], program)  # noqa: S606  (no shell is wanted)

@@ -1,6 +1,6 @@
-"""How many images see each direction, on an equirectangular grid: for pictures, not for proofs.
+"""Number of images that see each direction, on an equirectangular grid: for plots, not for proofs.
 
-A hole smaller than a cell of the grid can slip through; what certifies a plan is in the certificate.
+A hole smaller than a grid cell can be missed. The proof of coverage is in `panoexec.planning.certificate`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def coverage_count(camera: Camera, rotations: ArrayLike, width: int = 1440) -> N
     Args:
         camera: the camera.
         rotations: camera-to-world rotations (n, 3, 3).
-        width: cells around; the grid has width // 2 rows.
+        width: number of columns; the grid has width // 2 rows.
 
     Returns:
         (width // 2, width), row 0 at elevation +90, column 0 at azimuth -180.
@@ -54,7 +54,7 @@ def coverage_count(camera: Camera, rotations: ArrayLike, width: int = 1440) -> N
 
 
 def box_mask(box: Band | AngleBox, width: int) -> NDArray[np.bool_]:
-    """Which cells of the grid have their centre in a box of directions, (width // 2, width)."""
+    """Mask (width // 2, width) of the grid cells whose centre lies in a box of directions."""
     elevation, azimuth = grid(width)
     span = box.azimuth_max_deg - box.azimuth_min_deg
     inside = (azimuth - box.azimuth_min_deg) % 360 <= span
@@ -63,11 +63,11 @@ def box_mask(box: Band | AngleBox, width: int) -> NDArray[np.bool_]:
 
 
 def uncovered_fraction(count: NDArray[np.uint16], required: NDArray[np.bool_]) -> float:
-    """Share of the solid angle of the `required` cells that no image sees, [0, 1]; 0 when nothing is required.
+    """Fraction of the solid angle of the `required` cells that no image sees, [0, 1]; 0 if no cell is required.
 
     Args:
-        count: from `coverage_count`.
-        required: of the same shape.
+        count: the result of `coverage_count`.
+        required: mask of the same shape.
     """
     elevation, _ = grid(count.shape[1])
     weight = np.cos(np.radians(elevation))[:, None] * required

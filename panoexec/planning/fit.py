@@ -1,4 +1,4 @@
-"""What would fit a budget of images or time: a smaller overlap, or a lower band. Nothing is changed silently."""
+"""Suggestions that would meet a budget of images or time: a smaller overlap, or a lower top of the band."""
 
 from __future__ import annotations
 
@@ -20,16 +20,19 @@ def what_would_fit(
     max_images: int | None,
     max_duration_s: float | None,
 ) -> str:
-    """Which overlap, and which band, would keep the budget, in words.
+    """Describe the overlap, and the band, that would meet the budget.
 
-    The largest overlap in steps of 0.01 and the highest band end in steps of 1° are found by bisection, each with
-    everything else as asked for: more of either never needs fewer images, but for an image or two.
+    Bisection finds the largest overlap in steps of 0.01 and the highest band end in steps of 1°, each with all other
+    constraints unchanged. A larger value is assumed never to need fewer images (true to within an image or two).
 
     Args:
-        constraints: what was asked for, and does not fit.
-        plan_with: makes the plan, estimated, for other constraints.
+        constraints: the requested constraints, which exceed the budget.
+        plan_with: makes the plan, with its estimate, for other constraints.
         max_images: as for `check_budget`.
         max_duration_s: as for `check_budget`.
+
+    Returns:
+        A sentence for the error message.
     """
 
     def plan_that_fits(changed: Constraints) -> Plan | None:
@@ -78,7 +81,7 @@ def _lower_band(constraints: Constraints, plan_that_fits: Callable[[Constraints]
 
 
 def _largest(fits: Callable[[int], Plan | None], most: int, least: int = 0) -> tuple[int, Plan] | None:
-    """The largest whole number from `least` to `most` that fits, with its plan; None if not even `least` does."""
+    """The largest integer in [least, most] that fits, with its plan; None if not even `least` fits."""
     best = fits(least)
     if best is None:
         return None

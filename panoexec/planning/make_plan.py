@@ -1,4 +1,4 @@
-"""A plan by the method asked for, with everything that belongs to it: order, certificate, estimate."""
+"""Make a complete plan with the requested method: shots, order, certificate, estimate."""
 
 from __future__ import annotations
 
@@ -24,21 +24,24 @@ def make_plan(
     columns: int | None = None,
     rows: int | None = None,
 ) -> Plan:
-    """The plan, certified or found wanting, ordered and estimated.
+    """Make a plan, order its shots, certify it and estimate its duration.
 
     Args:
-        camera: to cover the band with.
-        constraints: to satisfy.
+        camera: the camera.
+        constraints: the constraints to satisfy.
         method: one of `METHODS`.
-        timing: what a shot costs.
-        order: of shooting.
-        columns: for hdrpano: images at the horizon.
-        rows: for hdrpano.
+        timing: settle time, exposure time and camera interval.
+        order: the order of the shots.
+        columns: hdrpano only: images at the horizon.
+        rows: hdrpano only: steps between rows.
+
+    Returns:
+        The plan; its certificate says whether it satisfies the constraints.
 
     Raises:
-        PlanningError: no plan can satisfy the constraints, or the method needs what is missing.
+        PlanningError: no plan can satisfy the constraints, or a parameter of the method is missing.
     """
-    # imported here, as each method is heavy and one is used
+    # lazy imports: each method is slow to import and only one is used
     if method == "certified":
         from panoexec.planning.search.planner import plan_certified  # noqa: PLC0415
 
@@ -55,7 +58,7 @@ def make_plan(
 
 
 def finished(plan: Plan, timing: Timing, *, order: Order | None = None) -> Plan:
-    """The plan with its shots in order (as they are without one), its certificate and its estimate."""
+    """The plan with its shots ordered (unchanged if `order` is None), certified and estimated."""
     limits = plan.constraints.gimbal or GimbalLimits()
     if order is not None:
         plan = replace(plan, shots=order_shots(plan.shots, limits, timing, order=order))

@@ -1,4 +1,4 @@
-"""What a plan is: request, shots, certificate and estimate, as plain frozen values."""
+"""Data model of planning: constraints, shots, certificate and estimate, as frozen dataclasses."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Tolerance:
 
     @property
     def is_zero(self) -> bool:
-        """Whether perfect pointing is asked for."""
+        """Whether all tolerances are 0 (no pointing errors)."""
         return self.pitch_deg == self.roll_deg == self.yaw_deg == 0
 
 
@@ -52,13 +52,13 @@ class Band:
 
     @property
     def is_full_circle(self) -> bool:
-        """Whether the band closes on itself."""
+        """Whether the band covers all azimuths."""
         return self.azimuth_span_deg >= 360.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AngleBox:
-    """A box of directions, by elevation and azimuth (clockwise from min to max, as in `Band`)."""
+    """A box in elevation and azimuth (clockwise from min to max, as in `Band`)."""
 
     elevation_min_deg: float
     elevation_max_deg: float
@@ -68,13 +68,13 @@ class AngleBox:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turning:
-    """How the vehicle turns on the spot, where it pans the camera.
+    """How the vehicle yaws on the spot where the gimbal cannot pan the camera.
 
     Attributes:
-        rate_deg_s: largest speed, which it is also asked for.
-        acceleration_deg_s2: of the start and the end of a turn.
-        settle_s: until the nose stands still after one, besides the settle time of every shot.
-        margin_deg: so much of each end of the gimbal's pan range is left for the swaying of the nose.
+        rate_deg_s: commanded and largest yaw rate.
+        acceleration_deg_s2: yaw acceleration at the start and the end of a turn.
+        settle_s: time until the heading is steady after a turn, in addition to the settle time of each shot.
+        margin_deg: margin at each end of the gimbal's pan range, reserved for heading oscillation.
     """
 
     rate_deg_s: float = 45.0
@@ -85,11 +85,10 @@ class Turning:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GimbalLimits:
-    """Where the gimbal can point: pitch range and pan range, degrees; rates and accelerations per axis.
+    """The gimbal's pitch range and pan range, degrees; rate (deg/s) and acceleration (deg/s²) of each axis.
 
-    A pan range of 360 or more has no end stops, one of 0 is a gimbal of two axes. Rates in degrees a second,
-    accelerations in degrees a second squared. With `turning` the pan range is relative to a nose that may be turned, so
-    that every yaw can be reached.
+    A pan range of 360 or more has no end stops; a range of 0 is a gimbal of two axes (roll and pitch). With `turning`
+    the pan range is relative to the vehicle's heading, which may change, so every yaw can be reached.
     """
 
     pitch_min_deg: float = -90.0
@@ -101,30 +100,30 @@ class GimbalLimits:
     pitch_acceleration_deg_s2: float = 240.0
     yaw_acceleration_deg_s2: float = 360.0
     yaw_endless: bool = True
-    """Whether the pan axis may turn through ±180 without end."""
+    """Whether the pan axis rotates continuously through ±180."""
     turning: Turning | None = None
-    """How the vehicle pans where the gimbal cannot; None: it is never turned."""
+    """How the vehicle yaws where the gimbal cannot pan; None: the vehicle keeps its heading."""
 
     @property
     def pans(self) -> bool:
-        """Whether the gimbal has a pan axis at all, or one that is used."""
+        """Whether the gimbal has a pan axis and the plan uses it."""
         return self.yaw_endless or self.yaw_max_deg > self.yaw_min_deg
 
     @property
     def all_round(self) -> bool:
-        """Whether every yaw can be reached, and the short way."""
+        """Whether every yaw can be reached by the shortest rotation."""
         return self.yaw_endless or self.turning is not None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Timing:
-    """What a shot costs besides the slew, seconds."""
+    """Time that a shot takes in addition to the slew, seconds."""
 
     settle_s: float = 0.3
     exposure_s: float = 0.02
     trigger_latency_s: float = 0.05
     interval_s: float = 1.0
-    """Least time between two photos of the camera."""
+    """Minimum interval between two photos of the camera."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,13 +131,14 @@ class Constraints:
     """What a plan must satisfy (docs/contract.md: C1 to C4).
 
     Attributes:
-        overlap_h: least overlap of neighbours in a row, fraction of the image area, [0, 1).
-        overlap_v: least overlap of an image with the union of the next row, fraction, [0, 1).
+        overlap_h: minimum overlap of neighbours in a row, fraction of the image area, [0, 1).
+        overlap_v: minimum overlap of an image with the union of the adjacent row, fraction, [0, 1).
         band: directions to cover.
-        tolerance: pointing errors to survive.
-        guarantee: `coverage`: C1 and C4 for every error, C2 and C3 at the planned poses; `all`: all for every error.
-        masks: boxes of the band that need no coverage (landing gear).
-        gimbal: where the gimbal can point, if it is known.
+        tolerance: pointing errors that the guarantee includes.
+        guarantee: `coverage`: C1 and C4 hold for every error, C2 and C3 at the planned poses; `all`: C1 to C4 hold for
+            every error.
+        masks: boxes of the band that need no coverage (for example the landing gear).
+        gimbal: the gimbal's limits, if known.
     """
 
     overlap_h: float
@@ -152,13 +152,13 @@ class Constraints:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shot:
-    """One pose of the gimbal; roll is 0.
+    """One gimbal pose; roll is 0.
 
     Attributes:
         index: position in the shooting order, from 0.
-        row: rows are counted from the lowest pitch, from 0; images of one row have one pitch.
+        row: row number, from 0 at the lowest pitch; all images of a row have the same pitch.
         pitch_deg: positive up.
-        yaw_deg: clockwise from the reference, [-180, 180).
+        yaw_deg: clockwise from the reference heading, [-180, 180).
     """
 
     index: int
@@ -169,7 +169,7 @@ class Shot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hole:
-    """A part of the band that no image is sure to cover: where, and how large across (angular diameter bound)."""
+    """A part of the band without guaranteed coverage: a direction in it, a bound of its angular diameter."""
 
     elevation_deg: float
     azimuth_deg: float
@@ -180,8 +180,8 @@ class Hole:
 class Certificate:
     """The verdict on a plan (docs/contract.md: certified means C1 to C4), and where it fails.
 
-    Overlaps are the least found, at the planned poses; `worst_*` are their lower bounds over all combinations of errors
-    within the tolerance. `None` where there is nothing to overlap (a single image, a single row).
+    Overlaps are minima at the planned poses; `worst_*` are lower bounds over all combinations of errors within the
+    tolerance. `None` where there is no pair to measure (a single image, a single row).
     """
 
     certified: bool
@@ -191,34 +191,34 @@ class Certificate:
     worst_overlap_h: float | None
     worst_overlap_v: float | None
     uncovered_fraction: float
-    """Of the band's solid angle, not sure to be covered; 0.0 exactly when C1 is proven."""
+    """Fraction of the band's solid angle without guaranteed coverage; 0.0 exactly when C1 is proven."""
     connected: bool
     two_edge_connected: bool
     failures: tuple[str, ...] = ()
-    """One line for each of C1 to C4 that fails: what, where, by how much."""
+    """One line for each condition of C1 to C4 that fails: the condition, the place, the amount."""
     holes: tuple[Hole, ...] = ()
     """Largest first."""
     weakest_h: tuple[int, int] | None = None
-    """Shot indices of the pair with the least overlap in a row."""
+    """Shot indices of the neighbours with the smallest overlap."""
     weakest_v: int | None = None
-    """Index of the shot with the least overlap with a neighbouring row."""
+    """Index of the shot with the smallest overlap with an adjacent row."""
     bridges: tuple[tuple[int, int], ...] = ()
-    """Pairs whose loss would disconnect the graph."""
+    """Edges (pairs of shot indices) whose removal would disconnect the graph."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """What flying a plan is expected to cost and to bring."""
+    """Expected cost and result of a plan."""
 
     duration_s: float
     slew_deg: float
-    """Sum over slews of the larger of the two axes' angles."""
+    """Sum over all slews of the larger of the pitch and the yaw angle."""
     panorama_px: tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """Shots in shooting order for a camera and constraints, with the verdict and the estimate where made."""
+    """Shots in shooting order for a camera and constraints, with certificate and estimate where computed."""
 
     method: Method
     camera: Camera
@@ -227,7 +227,7 @@ class Plan:
     certificate: Certificate | None = None
     estimate: Estimate | None = None
     lower_bound: int | None = None
-    """No plan for these constraints can have fewer images (solid angle)."""
+    """Lower bound of the number of images for these constraints (by solid angle)."""
     notes: tuple[str, ...] = field(default=())
 
     def rotations(self) -> FloatArray:

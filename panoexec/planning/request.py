@@ -1,4 +1,4 @@
-"""What can be planned at all: requests that no plan can satisfy are refused before any search, in one clear line."""
+"""Validation of planning requests: a request that no plan can satisfy is rejected before the search, in one line."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from panoexec.optics import Camera
 from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits
 
 MAX_IMAGES = 100_000
-"""More images than this is a mistake in the request, not a panorama."""
+"""A request for more images than this is treated as a mistake."""
 
 _NARROWEST_BAND_DEG = 1e-6
 _SMALLEST_FOV_DEG = 0.05
@@ -17,10 +17,10 @@ _LARGEST_FOV_DEG = 179.0
 
 
 def check_request(camera: Camera, constraints: Constraints) -> None:
-    """Refuse what makes no sense or cannot be planned, whatever the method.
+    """Reject invalid or impossible requests, whatever the method.
 
     Raises:
-        PlanningError: the message names the constraint, its value and what would be accepted.
+        PlanningError: the message names the constraint, its value and the accepted range.
     """
     _check_camera(camera)
     _check_overlap("horizontal overlap", constraints.overlap_h)
@@ -34,7 +34,7 @@ def check_request(camera: Camera, constraints: Constraints) -> None:
         ("yaw", constraints.tolerance.yaw_deg),
     ):
         if not 0 <= value < 90:
-            raise PlanningError(f"{name} tolerance {value:g}° is not possible: give degrees from 0 to below 90")
+            raise PlanningError(f"{name} tolerance {value:g}° is out of range: give degrees from 0 to below 90")
     if constraints.gimbal is not None:
         _check_limits(constraints.gimbal)
 
@@ -44,25 +44,25 @@ def _check_camera(camera: Camera) -> None:
         if not _SMALLEST_FOV_DEG <= fov <= _LARGEST_FOV_DEG:
             raise PlanningError(
                 f"the {side} field of view of {camera.name} is {fov:.3g}°: "
-                f"plans are for pinhole images of {_SMALLEST_FOV_DEG:g}° to {_LARGEST_FOV_DEG:g}°"
+                f"the planner supports pinhole images of {_SMALLEST_FOV_DEG:g}° to {_LARGEST_FOV_DEG:g}°"
             )
 
 
 def _check_overlap(name: str, value: float) -> None:
     if not 0 <= value < 1:
         hint = f" (as a fraction, {value:g} % is {value / 100:g})" if 1 < value < 100 else ""
-        raise PlanningError(f"{name} {value:g} is not possible: give a fraction from 0 to below 1{hint}")
+        raise PlanningError(f"{name} {value:g} is out of range: give a fraction from 0 to below 1{hint}")
 
 
 def _check_band(band: Band) -> None:
     low, high = band.elevation_min_deg, band.elevation_max_deg
     if not (-90 <= low <= 90 and -90 <= high <= 90):
-        raise PlanningError(f"elevation {low:g} to {high:g}° leaves the sphere: give degrees from -90 to 90")
+        raise PlanningError(f"elevation {low:g} to {high:g}° is out of range: give degrees from -90 to 90")
     if high - low < _NARROWEST_BAND_DEG:
-        raise PlanningError(f"elevation {low:g} to {high:g}° is upside down or empty: give the lower end first")
+        raise PlanningError(f"elevation {low:g} to {high:g}° is reversed or empty: give the lower end first")
     left, right = band.azimuth_min_deg, band.azimuth_max_deg
     if not (math.isfinite(left) and math.isfinite(right) and abs(left) <= 720 and abs(right) <= 720):
-        raise PlanningError(f"azimuth {left:g} to {right:g}° is not possible: give degrees from -360 to 360")
+        raise PlanningError(f"azimuth {left:g} to {right:g}° is out of range: give degrees from -360 to 360")
     if not _NARROWEST_BAND_DEG <= band.azimuth_span_deg <= 360:
         raise PlanningError(
             f"azimuth {left:g} to {right:g}° is {band.azimuth_span_deg:g}° wide: it must be above 0 and at most 360 "
@@ -84,8 +84,6 @@ def _check_box(name: str, box: AngleBox) -> None:
 
 def _check_limits(gimbal: GimbalLimits) -> None:
     if not gimbal.pitch_min_deg <= gimbal.pitch_max_deg:
-        raise PlanningError(
-            f"gimbal pitch limits {gimbal.pitch_min_deg:g} to {gimbal.pitch_max_deg:g}° are upside down"
-        )
+        raise PlanningError(f"gimbal pitch limits {gimbal.pitch_min_deg:g} to {gimbal.pitch_max_deg:g}° are reversed")
     if not gimbal.yaw_min_deg <= gimbal.yaw_max_deg:
-        raise PlanningError(f"gimbal pan limits {gimbal.yaw_min_deg:g} to {gimbal.yaw_max_deg:g}° are upside down")
+        raise PlanningError(f"gimbal pan limits {gimbal.yaw_min_deg:g} to {gimbal.yaw_max_deg:g}° are reversed")

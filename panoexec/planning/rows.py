@@ -1,4 +1,4 @@
-"""A plan row by row, for people: how many images, how far apart, how much they overlap at the planned poses."""
+"""Summary of a plan by row, for display: images, spacing, and overlap at the planned poses."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class RowSummary:
 
     Attributes:
         number: from 0, the lowest.
-        pitch_deg: of the row's first image.
-        images: how many.
-        spacing_deg: largest yaw from an image to its neighbour (all round, if the band closes on itself).
-        overlap_h: least overlap of neighbours.
-        overlap_below: least overlap of an image with the union of the row below.
+        pitch_deg: pitch of the row's first image.
+        images: number of images.
+        spacing_deg: largest yaw difference of neighbours (including last and first if the band is a full circle).
+        overlap_h: smallest overlap of neighbours.
+        overlap_below: smallest overlap of an image with the union of the row below.
     """
 
     number: int
@@ -35,7 +35,7 @@ class RowSummary:
 
 
 def row_table(plan: Plan) -> list[RowSummary]:
-    """The rows of a plan from the lowest up."""
+    """Summaries of a plan's rows, from the lowest to the highest."""
     rows = [shots for _, shots in plan.rows()]
     summaries = []
     for number, shots in enumerate(rows):
@@ -62,7 +62,7 @@ def _neighbours(camera: Camera, shots: Sequence[Shot], *, closed: bool) -> tuple
     spacing = np.abs(wrap_180(np.roll(yaws, -1) - yaws))
     overlap = np.minimum(pairwise_overlap(camera, turns, following), pairwise_overlap(camera, following, turns))
     if not closed:
-        # a sector's row ends where its widest step is: it need not be where yaw wraps
+        # a sector's row is cut at its widest step, which need not be where yaw wraps
         widest = int(np.argmax(spacing))
         spacing, overlap = np.delete(spacing, widest), np.delete(overlap, widest)
     return float(spacing.max()), float(overlap.min())
@@ -70,7 +70,7 @@ def _neighbours(camera: Camera, shots: Sequence[Shot], *, closed: bool) -> tuple
 
 def _with_row(camera: Camera, shots: Sequence[Shot], others: Sequence[Shot]) -> float:
     turns, partners = shot_rotations(shots), shot_rotations(others)
-    # images too far apart to share anything would only cost time
+    # skip images that are too far apart to overlap: this only saves time
     reach = np.cos(np.radians(min(180.0, 2 * np.degrees(np.arctan(np.hypot(camera.half_width, camera.half_height))))))
     near = turns[:, :, 0] @ partners[:, :, 0].T > reach
     most = max(1, int(near.sum(axis=1).max()))

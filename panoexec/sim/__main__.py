@@ -1,9 +1,9 @@
 """`python -m panoexec.sim`: the simulated vehicle as a process, for programs that start it (`panoexec.sim.process`).
 
-With `--config-from-stdin` the configuration is one line of JSON on standard input, and the simulation ends when that
-does, so that it cannot outlive its parent; with `--leashed` as well, simulated time goes only as far as the lines that
-follow allow (`panoexec.sim.pacing`). On standard output: one line of JSON when it is ready, one at the end.
-Otherwise it takes the options of `panoexec simulate`, but for the camera.
+With `--config-from-stdin` the configuration is one line of JSON on standard input, and the simulation ends at the end
+of standard input, so that it cannot outlive its parent; with `--leashed` as well, simulated time is limited by the
+lines that follow (`panoexec.sim.pacing`). On standard output: one line of JSON when it is ready, one at the end.
+Otherwise it takes the options of `panoexec simulate`, except those of the camera.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ def main(argv: list[str]) -> int:
     """Run the simulation; an exit code of docs/contract.md."""
     tied = argv[:1] == ["--config-from-stdin"]
     try:
-        config = settings.from_json(json.loads(_first_line())) if tied else _from_options(argv)
-        return _run(config, tied=tied, leashed=argv[1:] == ["--leashed"])
+        config = settings.from_json(json.loads(_first_line())) if stdin_bound else _from_options(argv)
+        return _run(config, stdin_bound=stdin_bound, paced=argv[1:] == ["--leashed"])
     except PanoexecError as error:
         print(f"panoexec: {' '.join(str(error).split())}", file=sys.stderr)
         return error.exit_code
 
 
 def _first_line() -> bytes:
-    """The first line of standard input, read byte by byte: nothing behind it may get lost in a buffer."""
+    """The first line of standard input, read byte by byte so that no later bytes get lost in a buffer."""
     line = b""
     while (byte := os.read(sys.stdin.fileno(), 1)) not in (b"", b"\n"):
         line += byte
@@ -45,7 +45,7 @@ def _from_options(argv: list[str]) -> SimConfig:
     return config_of(parser.parse_args(argv))
 
 
-def _run(config: SimConfig, *, tied: bool, leashed: bool) -> int:
+def _run(config: SimConfig, *, stdin_bound: bool, paced: bool) -> int:
     from panoexec.sim.server import Ready, run_simulation  # noqa: PLC0415  (pymavlink may be missing)
 
     def ready(state: Ready) -> None:
@@ -54,7 +54,7 @@ def _run(config: SimConfig, *, tied: bool, leashed: bool) -> int:
     def note(text: str) -> None:
         print(f"simulation: {text}", file=sys.stderr, flush=True)
 
-    summary = run_simulation(config, on_ready=ready, note=note, tied=tied, leashed=leashed)
+    summary = run_simulation(config, on_ready=ready, note=note, stdin_bound=stdin_bound, paced=paced)
     print(json.dumps(asdict(summary)), flush=True)
     return 130 if summary.interrupted else 0
 

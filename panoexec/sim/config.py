@@ -1,4 +1,4 @@
-"""Every number of the simulated vehicle, with its default; docs/simulator.md lists them for users."""
+"""Every parameter of the simulated vehicle, with its default; docs/simulator.md lists them for users."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MountKind: TypeAlias = Literal["mavlink", "servo"]
 CameraKind: TypeAlias = Literal["mavlink", "servo"]
 
 DEFAULT_PORTS = (14540, 14550)
-"""Where programs and where ground stations listen by custom."""
+"""The usual UDP ports of MAVSDK and of ground stations."""
 
 DEFAULT_CAMERA = Camera(
     name="simulated",
@@ -29,13 +29,13 @@ DEFAULT_CAMERA = Camera(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisConfig:
-    """One axis of the gimbal: what its motor can do and where its stops are.
+    """One axis of the gimbal: motor performance and end stops.
 
     Attributes:
-        rate_deg_s: largest speed.
-        acceleration_deg_s2: largest acceleration of a commanded move.
-        min_deg, max_deg: range of commands that the gimbal accepts (yaw: relative to the vehicle's nose).
-        noise_deg: standard deviation of the encoder, white, every report.
+        rate_deg_s: maximum rate.
+        acceleration_deg_s2: maximum acceleration of a commanded move.
+        min_deg, max_deg: range of accepted commands (yaw: relative to the vehicle's nose).
+        noise_deg: standard deviation of the encoder noise, white, in every report.
     """
 
     rate_deg_s: float
@@ -54,17 +54,17 @@ class GimbalConfig:
 
     Attributes:
         yaw, roll, pitch: the axes, outermost first.
-        yaw_endless: whether yaw may turn through ±180° of the nose without end (then yaw's limits do not bind).
-        stop_margin_deg: how far beyond the command range the mechanical stops are.
+        yaw_endless: whether yaw rotates continuously through ±180° of the nose (then yaw's limits do not apply).
+        stop_margin_deg: distance of the mechanical stops beyond the command range.
         loop_hz: natural frequency of the position loop.
-        damping: of the position loop; below 1 it overshoots.
-        feedforward_frac: how much of a move's acceleration the loop knows beforehand; 1 = no overshoot at all.
+        damping: damping ratio of the position loop; below 1 it overshoots.
+        feedforward_frac: fraction of a move's acceleration that is fed forward to the loop; 1 = no overshoot.
         heading_error_deg: bound of the error of the heading that the yaw angle is based on (compass); it drifts within
-            it and cannot be seen in any report.
+            the bound and does not appear in any report.
         heading_period_s: shortest period of that drift.
-        gust_deg_s2: angular acceleration, standard deviation, that wind of 10 m/s puts on the camera; grows with the
-            square of the wind.
-        gust_corner_hz: above this frequency gusts have no strength.
+        gust_deg_s2: standard deviation of the camera's angular acceleration in wind of 10 m/s; proportional to the
+            square of the wind speed.
+        gust_corner_hz: corner frequency of the gusts.
     """
 
     yaw: AxisConfig = AxisConfig(rate_deg_s=90.0, acceleration_deg_s2=360.0, min_deg=-180.0, max_deg=180.0)
@@ -82,7 +82,7 @@ class GimbalConfig:
 
     @property
     def pans(self) -> bool:
-        """Whether it has a yaw axis: with a pan range of 0 it has two axes and looks where the vehicle's nose does."""
+        """Whether the gimbal has a pan axis; with a pan range of 0 it has two axes and points along the nose."""
         return self.yaw_endless or self.yaw.max_deg > self.yaw.min_deg
 
 
@@ -91,14 +91,14 @@ class CameraConfig:
     """The camera: optics, timing, storage.
 
     Attributes:
-        optics: sensor, lens and full image size, as told in CAMERA_INFORMATION.
-        render_width_px: width of the JPEGs really written; height follows, and so does the time they take.
+        optics: sensor, lens and full image size, as reported in CAMERA_INFORMATION.
+        render_width_px: width of the JPEGs that are written; their height and rendering time follow from it.
         exposure_s: shutter time.
-        latency_s: from the command to the opening of the shutter.
-        report_s: from the closing of the shutter to CAMERA_IMAGE_CAPTURED.
-        interval_s: least time between two photos; a command within it is refused.
+        latency_s: delay from the command to the opening of the shutter.
+        report_s: delay from the closing of the shutter to CAMERA_IMAGE_CAPTURED.
+        interval_s: minimum interval between two photos; an earlier command is rejected.
         storage_mib: size of the card.
-        image_mib: what one photo takes of it.
+        image_mib: size of one photo on the card.
         index_start: image index of the first photo.
         clock_rate: camera seconds per second: below 1 its clock runs slow.
         clock_step_s: by how much its clock is stepped, once; negative is back.
@@ -121,7 +121,7 @@ class CameraConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AirframeConfig:
-    """The vehicle: where it hovers, how the wind moves it, how its battery drains.
+    """The vehicle: position, response to wind, battery.
 
     Attributes:
         latitude_deg, longitude_deg: home.
@@ -130,19 +130,19 @@ class AirframeConfig:
         heading_deg: true heading while it hovers.
         wind_m_s: steady wind.
         wind_from_deg: direction that the wind blows from.
-        lean_deg: how far the vehicle leans against wind of 8 m/s; grows with its square.
+        lean_deg: tilt of the vehicle against wind of 8 m/s; proportional to the square of the wind speed.
         sway_deg: standard deviation of roll and pitch about the mean in calm air.
         heading_sway_deg: standard deviation of the heading.
-        heading_offset_deg: how far the nose may stand off the heading that it was told in wind of 8 m/s, by the wind's
-            direction (ArduCopter's SITL: up to 2° for many seconds); grows with the wind's square.
-        turn_rate_deg_s: largest speed of a turn on the spot.
-        turn_acceleration_deg_s2: largest acceleration of one.
+        heading_offset_deg: deviation of the heading from its setpoint in wind of 8 m/s, depending on the wind's
+            direction (ArduCopter's SITL: up to 2° for many seconds); proportional to the square of the wind speed.
+        turn_rate_deg_s: maximum yaw rate of a turn on the spot.
+        turn_acceleration_deg_s2: maximum yaw acceleration of a turn.
         turn_loop_hz: natural frequency of the heading's control loop.
         hold_m: standard deviation of the true position about the hover point in calm air.
-        gps_wander_m: standard deviation of the slow error of the GPS: the vehicle holds the place that it is told, so
-            it is the true position that wanders.
-        battery_frac: charge at the start.
-        battery_minutes: from full to empty.
+        gps_wander_m: standard deviation of the slow error of the GPS: the vehicle holds the GPS position, so the true
+            position wanders.
+        battery_frac: state of charge at the start.
+        battery_minutes: time from full to empty.
         in_air: start hovering and armed; otherwise on the ground, disarmed.
         attitude_noise_deg: standard deviation of the reported roll, pitch and yaw.
     """
@@ -174,23 +174,23 @@ class SimConfig:
     """A simulated vehicle, or with `attach_url` only its payload.
 
     Attributes:
-        host, port: where the vehicle sends its messages (a ground station or MAVSDK listens there), or with `listen`
-            where it waits for them. Without a port it sends to both of `DEFAULT_PORTS`, as PX4's SITL does.
-        listen: wait on `port` for whoever talks first, instead of sending to it.
-        autopilot: whose habits to show.
+        host, port: destination of the vehicle's messages (a ground station or MAVSDK listens there), or with `listen`
+            the address to listen on. Without a port it sends to both of `DEFAULT_PORTS`, as PX4's SITL does.
+        listen: listen on `port` for a client instead of sending to it.
+        autopilot: autopilot to emulate.
         mount: `mavlink`: a gimbal device of its own (ArduPilot's MNT1_TYPE 6); `servo`: driven by the autopilot, which
             reports the demanded angles relative to the airframe (MNT1_TYPE 1).
         camera_kind: `mavlink`: component 100 with its own messages; `servo`: a trigger on the autopilot (component 1)
-            whose only proof is CAMERA_FEEDBACK.
+            whose only evidence is CAMERA_FEEDBACK.
         scene: equirectangular image to photograph; None for the procedural one.
-        seed: of everything random.
-        speedup: simulated seconds a second.
-        faults: what goes wrong, see `panoexec.sim.faults`.
-        output: directory for images and truth log; None writes no images.
-        attach_url: `tcp:HOST:PORT`, `udpout:HOST:PORT` or `udpin:HOST:PORT` of an autopilot to join with the payload.
-        system_id: of the vehicle.
-        payload_boot_s: how long after the autopilot the payload booted; its boot clock counts from there.
-        step_s: of the physics.
+        seed: random seed.
+        speedup: simulated seconds per second.
+        faults: faults to inject, see `panoexec.sim.faults`.
+        output: directory for images and ground-truth log; None writes no images.
+        attach_url: `tcp:HOST:PORT`, `udpout:HOST:PORT` or `udpin:HOST:PORT` of an autopilot to attach the payload to.
+        system_id: MAVLink system id of the vehicle.
+        payload_boot_s: boot time of the payload after that of the autopilot; its boot clock starts then.
+        step_s: time step of the physics.
     """
 
     host: str = "127.0.0.1"

@@ -1,12 +1,12 @@
-"""What goes wrong: named faults, combinable, at given moments or at random from the seed.
+"""Fault injection: named faults, combinable, at given moments or at random from the seed.
 
 `NAME[=PART[,PART…]]`, where a PART is
 
 * `0.3` (below 1): a probability: per photo for faults of single photos, per minute for the others;
-* `20` or `20+5`: from 20 s after the first photo command on, for 5 s (`t20+5`: 20 s after the start of the simulation);
-  faults of single photos take the form with a duration only, and strike every photo in that time;
-* `#3`: at the third photo command (several may be given);
-* `x1.5`: the size, in the unit that the table in `FAULTS` names.
+* `20` or `20+5`: from 20 s after the first photo command, for 5 s (`t20+5`: 20 s after the start of the simulation);
+  faults of single photos accept only the form with a duration, and affect every photo in that time;
+* `#3`: at the third photo command (may be repeated);
+* `x1.5`: the size, in the unit given in `FAULTS`.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ from panoexec.sim.physics.world import seeded
 
 
 class Kind(StrEnum):
-    """When a fault can strike."""
+    """When a fault can occur."""
 
     PHOTO = "photo"
     """At single photo commands."""
     SPAN = "span"
-    """For a time."""
+    """For a period of time."""
     ONCE = "once"
-    """At a moment; what follows is not taken back."""
+    """At a moment; the effect is permanent."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
-    """One thing that can go wrong.
+    """Description of a fault.
 
     Attributes:
-        kind: when it strikes.
-        text: what it does.
+        kind: when it can occur.
+        text: its effect.
         size: default size.
-        unit: what the size means; "" if it has none.
-        duration_s: default duration of a `SPAN`.
-        probability: default of a `PHOTO` fault.
+        unit: unit of the size; "" if the fault has no size.
+        duration_s: default duration of a `SPAN` fault.
+        probability: default probability of a `PHOTO` fault.
     """
 
     kind: Kind
@@ -55,10 +55,10 @@ class Fault:
 
 
 FAULTS: dict[str, Fault] = {
-    "link-loss": Fault(kind=Kind.SPAN, text="nothing passes between vehicle and ground, either way"),
+    "link-loss": Fault(kind=Kind.SPAN, text="no messages pass between vehicle and ground, in either direction"),
     "reboot": Fault(
         kind=Kind.ONCE,
-        text="the autopilot restarts: silent for the size, then boot time 0, intervals and control forgotten",
+        text="the autopilot reboots: silent for the size, then boot time 0, intervals and gimbal control reset",
         size=3.0,
         unit="s",
     ),
@@ -71,27 +71,27 @@ FAULTS: dict[str, Fault] = {
     ),
     "drift": Fault(
         kind=Kind.PHOTO,
-        text="the pointing runs away while the shutter opens and comes back (never at two photos in a row)",
+        text="the pointing drifts off while the shutter opens and returns (never at two photos in a row)",
         size=2.0,
         unit="deg",
         probability=0.3,
     ),
-    "control-stolen": Fault(kind=Kind.ONCE, text="another station (255/190) takes the gimbal and points it ahead"),
+    "control-stolen": Fault(kind=Kind.ONCE, text="another station (255/190) takes gimbal control and points it ahead"),
     "mode-change": Fault(kind=Kind.ONCE, text="the pilot changes the flight mode to STABILIZE"),
-    "photo-lost": Fault(kind=Kind.PHOTO, text="the photo command is lost on its way: no answer, no photo"),
-    "photo-refused": Fault(kind=Kind.PHOTO, text="the camera refuses the photo command"),
+    "photo-lost": Fault(kind=Kind.PHOTO, text="the photo command is lost: no acknowledgement, no photo"),
+    "photo-refused": Fault(kind=Kind.PHOTO, text="the camera denies the photo command"),
     "capture-lost": Fault(
-        kind=Kind.PHOTO, text="the photo is taken, its message is lost (a MAVLink camera repeats it when asked)"
+        kind=Kind.PHOTO, text="the photo is taken, its message is lost (a MAVLink camera resends it on request)"
     ),
     "capture-twice": Fault(kind=Kind.PHOTO, text="the photo is reported twice"),
-    "storage-full": Fault(kind=Kind.SPAN, text="no room for another photo", duration_s=math.inf),
+    "storage-full": Fault(kind=Kind.SPAN, text="the storage is full", duration_s=math.inf),
     "battery-low": Fault(kind=Kind.ONCE, text="the battery falls to the size", size=0.12, unit="fraction"),
     "gust": Fault(kind=Kind.SPAN, text="wind rises by the size", size=14.0, unit="m/s", duration_s=8.0),
     "clock-jump": Fault(kind=Kind.ONCE, text="the vehicle's UTC jumps by the size", size=3600.0, unit="s"),
 }
 
 AUTOPILOT_FAULTS = frozenset({"link-loss", "reboot", "control-stolen", "mode-change", "battery-low"})
-"""Faults of the embedded autopilot, which a payload joined to a real one cannot have."""
+"""Faults of the embedded autopilot, not available with a real one."""
 
 _NUMBER = r"(?:\d+\.?\d*|\.\d+)"
 _TIME = re.compile(rf"(t?)({_NUMBER})(?:\+({_NUMBER}))?")
@@ -102,7 +102,7 @@ _DEFAULT_START_S = 15.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultSpec:
-    """One `NAME=VALUE` as parsed.
+    """A parsed `NAME=VALUE`.
 
     Attributes:
         name: key of `FAULTS`.
@@ -110,7 +110,7 @@ class FaultSpec:
         probability: per photo or per minute; 0 = not random.
         photos: numbers of photo commands, from 1.
         spans: (start_s, end_s) after the first photo command.
-        absolute_spans: likewise after the start of the simulation.
+        absolute_spans: (start_s, end_s) after the start of the simulation.
     """
 
     name: str
@@ -122,10 +122,10 @@ class FaultSpec:
 
 
 def parse_fault(text: str) -> FaultSpec:
-    """Read `NAME[=VALUE]`.
+    """Parse `NAME[=VALUE]`.
 
     Raises:
-        UsageError: unknown name or unreadable value; the message lists what would be accepted.
+        UsageError: unknown name or invalid value; the message lists the accepted forms.
     """
     name, _, value = text.partition("=")
     fault = FAULTS.get(name)
@@ -139,7 +139,7 @@ def parse_fault(text: str) -> FaultSpec:
 
 
 class _Draft:
-    """A `FaultSpec` while it is read part by part."""
+    """A `FaultSpec` under construction."""
 
     def __init__(self, fault: Fault) -> None:
         self._fault = fault
@@ -150,7 +150,7 @@ class _Draft:
         self._absolute_spans: list[tuple[float, float]] = []
 
     def take(self, part: str) -> bool:
-        """Read one part; False if it means nothing."""
+        """Parse one part; False if it is invalid."""
         if match := _SIZE.fullmatch(part):
             self._size = float(match[1])
             return bool(self._fault.unit)
@@ -165,7 +165,7 @@ class _Draft:
             self._probability = number
             return True
         if duration is None and self._fault.kind is Kind.PHOTO:
-            # a number from 1 on can only be meant as the size
+            # a number of 1 or more can only be a size
             self._size = number
             return bool(self._fault.unit) and not absolute
         spans = self._absolute_spans if absolute else self._spans
@@ -173,7 +173,7 @@ class _Draft:
         return True
 
     def spec(self, name: str) -> FaultSpec:
-        """What was read, with the defaults where nothing says when."""
+        """The parsed fault, with default times if none were given."""
         probability, spans = self._probability, self._spans
         if not (probability or self._photos or spans or self._absolute_spans):
             if self._fault.kind is Kind.PHOTO:
@@ -197,13 +197,13 @@ def _unreadable(text: str, part: str, fault: Fault) -> UsageError:
     accepted.append("seconds START+DURATION like 20+5")
     if fault.unit:
         accepted.append(f"a size in {fault.unit} like x{fault.size:g}")
-    return UsageError(f"--fault {text}: cannot read {part!r}; accepted are {', '.join(accepted)}")
+    return UsageError(f"--fault {text}: invalid part {part!r}; expected {', or '.join(accepted)}")
 
 
 class Faults:
-    """The faults of one run: asked by the simulation at every turn, with simulated time.
+    """The faults of one run, queried by the simulation with simulated time.
 
-    Random spans are drawn minute by minute, from generators of their own, so they do not depend on who asks how often.
+    Random spans are drawn minute by minute, each fault with its own generator, so they do not depend on the queries.
     """
 
     def __init__(self, specs: Sequence[FaultSpec], *, seed: int) -> None:
@@ -220,7 +220,7 @@ class Faults:
         return name in self._specs
 
     def size(self, name: str) -> float:
-        """The size of a fault that was asked for."""
+        """The size of a requested fault."""
         return self._specs[name].size
 
     def generator(self, name: str) -> random.Random:
@@ -228,7 +228,7 @@ class Faults:
         return self._rng[name]
 
     def photo_commanded(self, now_s: float) -> None:
-        """Count a photo command and decide which photo faults strike it."""
+        """Count a photo command and decide which photo faults apply to it."""
         self.photos += 1
         self._first_photo_s = min(self._first_photo_s, now_s)
         for name, spec in self._specs.items():
@@ -239,11 +239,11 @@ class Faults:
                 self._photo_hits[name] = hit
 
     def photo(self, name: str) -> bool:
-        """Whether the fault strikes the photo command counted last."""
+        """Whether the fault applies to the last counted photo command."""
         return self._photo_hits.get(name, False)
 
     def active(self, name: str, now_s: float) -> bool:
-        """Whether a `SPAN` fault is at work now."""
+        """Whether a `SPAN` fault is active."""
         if name not in self._specs:
             return False
         return self._in_span(self._specs[name], now_s) or any(
@@ -251,7 +251,7 @@ class Faults:
         )
 
     def fires(self, name: str, now_s: float) -> bool:
-        """Whether a `ONCE` fault strikes now; true once for each of its moments."""
+        """Whether a `ONCE` fault occurs now; true once for each of its moments."""
         if name not in self._specs:
             return False
         spec, zero = self._specs[name], self._first_photo_s

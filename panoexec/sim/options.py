@@ -1,4 +1,4 @@
-"""The command-line options of the simulated vehicle, for `panoexec simulate` and `python -m panoexec.sim` alike."""
+"""Command-line options of the simulated vehicle, for `panoexec simulate` and `python -m panoexec.sim`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MAX_SPEEDUP = 100.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare all options but the camera's."""
+    """Add all options except those of the camera."""
     add_link_arguments(parser)
     parser.add_argument(
         "--output", type=Path, metavar="DIR", help="folder for photos and truth.jsonl (default: no photos)"
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_link_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare how the simulated vehicle is reached."""
+    """Add the options of the link."""
     link = parser.add_argument_group("link")
     link.add_argument(
         "--port",
@@ -44,7 +44,7 @@ def add_link_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_vehicle_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what is simulated."""
+    """Add the options of the vehicle and the world."""
     vehicle = parser.add_argument_group("simulated vehicle")
     vehicle.add_argument("--autopilot", choices=("ardupilot", "px4"), default="ardupilot", help="autopilot to emulate")
     vehicle.add_argument(
@@ -87,14 +87,14 @@ def add_vehicle_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def config_of(args: argparse.Namespace, camera: CameraConfig | None = None) -> SimConfig:
-    """The configuration that the options name.
+    """The configuration for parsed options.
 
     Args:
         args: parsed options of `add_arguments`.
         camera: from a profile; None for the default camera.
 
     Raises:
-        UsageError: a value that means nothing.
+        UsageError: an invalid value.
     """
     config = SimConfig(
         host=args.host,
@@ -115,7 +115,7 @@ def config_of(args: argparse.Namespace, camera: CameraConfig | None = None) -> S
     assignments = [f"camera.render_width_px={width}"]
     if args.wind is not None:
         if not (0 <= args.wind <= 30):
-            raise UsageError(f"--wind {args.wind}: accepted are 0 to 30 m/s")
+            raise UsageError(f"--wind {args.wind}: expected 0 to 30 m/s")
         assignments.append(f"airframe.wind_m_s={args.wind}")
     if args.on_ground:
         assignments.append("airframe.in_air=false")
@@ -123,22 +123,22 @@ def config_of(args: argparse.Namespace, camera: CameraConfig | None = None) -> S
 
 
 def checked_speedup(speedup: float) -> float:
-    """The speed-up, if it is one.
+    """The speed-up, if it is valid.
 
     Raises:
         UsageError: not above 0 and at most 100.
     """
     if not (0 < speedup <= _MAX_SPEEDUP and math.isfinite(speedup)):
-        raise UsageError(f"--speedup {speedup:g}: accepted is more than 0 and at most {_MAX_SPEEDUP:g}")
+        raise UsageError(f"--speedup {speedup:g}: expected more than 0 and at most {_MAX_SPEEDUP:g}")
     return speedup
 
 
 def camera_of(optics: Camera, *, interval_s: float, exposure_s: float) -> CameraConfig:
-    """A simulated camera with a profile's optics and timing."""
+    """A simulated camera with the optics and timing of a profile."""
     return CameraConfig(optics=optics, interval_s=interval_s, exposure_s=exposure_s)
 
 
 def _within(value: int, low: int, high: int, option: str) -> int:
     if not low <= value <= high:
-        raise UsageError(f"{option} {value}: accepted are {low} to {high}")
+        raise UsageError(f"{option} {value}: expected {low} to {high}")
     return value

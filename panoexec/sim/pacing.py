@@ -1,10 +1,10 @@
-"""How far and how fast simulated time may go, where the program that started the simulation says so.
+"""Limits of simulated time, set by the program that started the simulation.
 
-Of its own accord a simulation follows the wall: its time goes on while its client, on a busy computer, has not yet read
-what was sent a second ago. On a leash it goes no further than it is allowed to, and no faster than it is told to. Lines
-`UNTIL_S SPEED` on standard input say so. The client learns the time in the stream of messages itself, before the
-messages of each moment (NAMED_VALUE_INT, 252, from a component that is nobody else): when it hears of a moment, it has
-heard of everything before. Neither is what a real vehicle does; both are left out unless they are asked for.
+By default a simulation follows the wall clock: its time advances even if its client, on a busy computer, has not yet
+read what was sent a second ago. A paced simulation advances no further and no faster than permitted by lines
+`UNTIL_S SPEED` on standard input. The client receives the simulated time in the stream of messages, before the messages
+of each moment (NAMED_VALUE_INT, 252, from an otherwise unused component): when it receives a time, it has received all
+earlier messages. A real vehicle does neither, so both are off by default.
 """
 
 from __future__ import annotations
@@ -16,32 +16,32 @@ from typing import Final, Self
 TIME_MESSAGE: Final = "NAMED_VALUE_INT"
 TIME_NAME: Final = "sim_clock"
 TIME_COMPONENT: Final = 158
-"""MAV_COMP_ID_PERIPHERAL; it never beats, so nobody takes it for a device."""
+"""MAV_COMP_ID_PERIPHERAL; it sends no heartbeat, so no client lists it as a device."""
 
 
 def time_fields(now_s: float) -> tuple[int, int]:
-    """Milliseconds and microseconds for the message that tells the time."""
+    """Milliseconds and microseconds for the fields of the time message."""
     us = round(now_s * 1e6)
     return us // 1000, us % 1000
 
 
-def told_time_s(boot_ms: int, value: int) -> float:
-    """The time that `time_fields` made the fields of, to the microsecond."""
+def time_from_fields(boot_ms: int, value: int) -> float:
+    """The simulated time encoded by `time_fields`, to the microsecond."""
     return boot_ms / 1e3 + value / 1e6
 
 
-def allowance_line(until_s: float, speed: float) -> bytes:
-    """What `Leash.feed` reads."""
+def limits_line(until_s: float, speed: float) -> bytes:
+    """A line for `TimeLimits.feed`."""
     return f"{until_s!r} {speed!r}\n".encode()
 
 
-class Leash:
-    """What the simulation is held by.
+class TimeLimits:
+    """The current limits of simulated time.
 
     Attributes:
-        until_s: simulated time goes no further than this.
-        speed: simulated seconds a second at most.
-        changed: set when one of them was told.
+        until_s: simulated time must not exceed this.
+        speed: maximum simulated seconds per second.
+        changed: set when one of them changes.
     """
 
     def __init__(self) -> None:
@@ -52,18 +52,18 @@ class Leash:
 
     @classmethod
     def long(cls, speed: float) -> Self:
-        """One that holds nobody."""
-        leash = cls()
-        leash.let(math.inf, speed)
-        return leash
+        """Limits that only restrict the speed."""
+        limits = cls()
+        limits.let(math.inf, speed)
+        return limits
 
     def let(self, until_s: float, speed: float) -> None:
-        """Allow to go on."""
+        """Set new limits."""
         self.until_s, self.speed = until_s, speed
         self.changed.set()
 
     def feed(self, data: bytes) -> None:
-        """Take bytes of standard input; a line that means nothing is ignored."""
+        """Parse bytes of standard input; invalid lines are ignored."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
             try:

@@ -1,4 +1,4 @@
-"""Starts the simulated vehicle as a child process and stops it again; needs neither pymavlink nor Pillow itself."""
+"""Starts and stops the simulated vehicle as a child process; needs neither pymavlink nor Pillow itself."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any
 from panoexec.errors import DeviceError, LinkError, PanoexecError, UsageError
 from panoexec.sim import settings
 from panoexec.sim.config import SimConfig
-from panoexec.sim.pacing import allowance_line
+from panoexec.sim.pacing import limits_line
 
 _START_S = 60.0
 _STOP_S = 75.0
@@ -22,7 +22,7 @@ _ERRORS: dict[int, type[PanoexecError]] = {2: UsageError, 3: LinkError}
 
 
 def free_udp_port() -> int:
-    """A UDP port that nobody listens on at the moment."""
+    """A UDP port that is currently unused."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
@@ -33,9 +33,9 @@ class SimulatorProcess:
     """A running simulation.
 
     Attributes:
-        config: what it simulates.
-        ready: what it said when it was ready (`panoexec.sim.server.Ready.document`).
-        summary: what it said at its end (`panoexec.sim.server.Summary` as a document); empty before.
+        config: the simulated vehicle.
+        ready: its ready message (`panoexec.sim.server.Ready.document`).
+        summary: its final message (`panoexec.sim.server.Summary` as a document); empty before the end.
     """
 
     config: SimConfig
@@ -44,22 +44,22 @@ class SimulatorProcess:
     summary: dict[str, Any] = field(default_factory=dict)
 
     def allow(self, until_s: float, speed: float) -> None:
-        """Let simulated time go on, if it is on a leash.
+        """Let simulated time advance, if the simulation is paced.
 
         Args:
-            until_s: to this moment (it may have gone further already).
-            speed: simulated seconds a second at most.
+            until_s: up to this moment (it may have advanced further already).
+            speed: maximum simulated seconds per second.
         """
         assert self.process.stdin is not None
         if not self.process.stdin.is_closing():
-            self.process.stdin.write(allowance_line(until_s, speed))
+            self.process.stdin.write(limits_line(until_s, speed))
 
     async def wait(self) -> int:
-        """Wait until it ends by itself, which only an error makes it do; its exit code."""
+        """Wait until it exits by itself, which it does only after an error; return its exit code."""
         return await self.process.wait()
 
     async def stop(self) -> None:
-        """End it and let it write its last photos; kill it if it takes too long. Twice does no harm."""
+        """Stop it and let it write its last photos; kill it after a timeout. May be called twice."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         self.process.stdin.close()
@@ -76,17 +76,17 @@ class SimulatorProcess:
                 self.summary = json.loads(line)
 
 
-async def _spawn(config: SimConfig, *, leashed: bool) -> asyncio.subprocess.Process:
+async def _spawn(config: SimConfig, *, paced: bool) -> asyncio.subprocess.Process:
     process = await asyncio.create_subprocess_exec(
         sys.executable,
         "-m",
         "panoexec.sim",
         "--config-from-stdin",
-        *(["--leashed"] if leashed else []),
+        *(["--leashed"] if paced else []),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
-        # Ctrl-C is the parent's: it ends the mission first and the vehicle after it
+        # the parent handles Ctrl-C: it ends the mission first and the vehicle after it
         start_new_session=True,
     )
     assert process.stdin is not None
@@ -96,22 +96,22 @@ async def _spawn(config: SimConfig, *, leashed: bool) -> asyncio.subprocess.Proc
 
 @contextlib.asynccontextmanager
 async def running_simulator(
-    config: SimConfig, *, note: Callable[[str], None] = lambda _: None, leashed: bool = False
+    config: SimConfig, *, note: Callable[[str], None] = lambda _: None, paced: bool = False
 ) -> AsyncIterator[SimulatorProcess]:
     """A simulated vehicle while the block runs.
 
     Args:
-        config: what to simulate.
-        note: takes what the simulation has to say to people, line by line.
-        leashed: its time stands still until `SimulatorProcess.allow`.
+        config: the vehicle to simulate.
+        note: receives messages of the simulation for display, line by line.
+        paced: simulated time does not advance until `SimulatorProcess.allow`.
 
     Raises:
-        UsageError: the configuration is wrong (the scene is none, the output cannot be written), or pymavlink or
-            Pillow is missing; the message is the simulation's own.
-        LinkError: a port in use, or nobody to attach to.
+        UsageError: the configuration is invalid (scene not an image, output not writable), or pymavlink or Pillow is
+            missing; the message is the simulation's own.
+        LinkError: a port is in use, or there is no autopilot to attach to.
         DeviceError: it did not start.
     """
-    process = await _spawn(config, leashed=leashed)
+    process = await _spawn(config, paced=paced)
     assert process.stdout is not None
     assert process.stderr is not None
     errors = asyncio.create_task(_last_line(process.stderr, note), name="simulator stderr")
@@ -140,7 +140,7 @@ async def running_simulator(
 
 
 async def _last_line(stream: asyncio.StreamReader, note: Callable[[str], None]) -> str:
-    """Pass on what the child says on its standard error; its last line."""
+    """Forward the child's standard error; return its last line."""
     last = ""
     while line := await stream.readline():
         last = line.decode(errors="replace").rstrip()

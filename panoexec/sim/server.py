@@ -1,4 +1,4 @@
-"""Runs the simulated vehicle: sockets, clock, darkroom, signals, and a clean end."""
+"""Runs the simulated vehicle: sockets, clock, renderer process, signals, orderly shutdown."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from panoexec.sim.config import DEFAULT_PORTS, SimConfig
 from panoexec.sim.faults import AUTOPILOT_FAULTS
 from panoexec.sim.mavlink.outlet import Outlet
 from panoexec.sim.mavlink.wire import Message, TcpLink, UdpLink, attach
-from panoexec.sim.pacing import Leash
+from panoexec.sim.pacing import TimeLimits
 from panoexec.sim.photos.darkroom import Darkroom
 from panoexec.sim.physics.following import AHEAD_S, SILENT_S, AutopilotTime
 from panoexec.sim.physics.world import SimClock, TruthLog
@@ -26,34 +26,34 @@ from panoexec.sim.simulation import Simulation
 _IDLE_S = 0.001
 _DRAIN_S = 60.0
 _BEHIND_S = 0.5
-"""Wall time by which the simulation may be late before it says so."""
+"""Lag in wall time that is reported to the user."""
 _RECONNECT_S = 15.0
 _SILENT_WAIT_S = 1.0
-"""Wall time after which it says that it waits for an autopilot."""
+"""Wall time after which it reports that it waits for an autopilot."""
 _CATCH_UP_S = 0.5
-"""Wall time for coming to the autopilot's time at once; the rest follows with its next message."""
+"""Budget of wall time for catching up with the autopilot's time; the rest follows with its next message."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ready:
-    """The vehicle is there: how to connect to it."""
+    """The vehicle is ready: how to connect to it."""
 
     config: SimConfig
 
     @property
     def port(self) -> int:
-        """The first port bound or sent to."""
+        """The first port that is bound or sent to."""
         return self.config.port or DEFAULT_PORTS[0]
 
     @property
     def connect(self) -> str:
-        """What to give MAVSDK as the connection."""
+        """The connection URL for MAVSDK."""
         if self.config.listen:
             return f"udpout://{self.config.host}:{self.port}"
         return f"udpin://0.0.0.0:{self.port}"
 
     def document(self) -> dict[str, Any]:
-        """For programs."""
+        """As a JSON object."""
         c = self.config
         return {
             "ready": True,
@@ -69,14 +69,14 @@ class Ready:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """What a run left behind.
+    """Results of a run.
 
     Attributes:
-        photos: exposures made.
-        written: JPEGs on disk.
+        photos: number of exposures.
+        written: number of JPEGs on disk.
         failures: one line for each photo that could not be written.
-        simulated_s: how long it ran.
-        latest_s: by how much wall time it was late at worst.
+        simulated_s: simulated duration.
+        latest_s: largest lag in wall time.
         interrupted: ended by Ctrl-C.
     """
 
@@ -97,37 +97,37 @@ class Server:
         *,
         on_ready: Callable[[Ready], None],
         note: Callable[[str], None],
-        tied: bool = False,
-        leashed: bool = False,
+        stdin_bound: bool = False,
+        paced: bool = False,
     ) -> None:
         """Prepare a run.
 
         Args:
-            config: what to simulate.
+            config: the vehicle to simulate.
             on_ready: called once when the vehicle can be connected to.
-            note: takes lines for people.
-            tied: end when standard input ends (that is, when the parent does).
-            leashed: if tied, go only as far as standard input says (`panoexec.sim.pacing`).
+            note: receives messages for display.
+            stdin_bound: end at the end of standard input (when the parent ends).
+            paced: with `stdin_bound`, limit simulated time as given on standard input (`panoexec.sim.pacing`).
         """
         self._config = config
         self._on_ready = on_ready
         self._note = note
-        self._tied = tied
-        self._leash = Leash() if tied and leashed else None
+        self._stdin_bound = stdin_bound
+        self._limits = TimeLimits() if stdin_bound and paced else None
         self._autopilot = AutopilotTime() if config.attach_url is not None else None
         if self._autopilot is not None:
-            self._leash = Leash.long(config.speedup)
+            self._limits = TimeLimits.long(config.speedup)
         self._stop = asyncio.Event()
         self._interrupted = False
         self._latest_s = 0.0
         self._link_lost = asyncio.Event()
 
     async def run(self) -> Summary:
-        """Run until SIGINT, SIGTERM or, if tied, the end of standard input.
+        """Run until SIGINT, SIGTERM or, with `stdin_bound`, the end of standard input.
 
         Raises:
-            UsageError: the output directory cannot be written, the scene is none, the URL to attach to is none.
-            LinkError: the port is in use; nobody answers where to attach to; the autopilot is gone.
+            UsageError: the output directory is not writable, or the scene or the URL to attach to is invalid.
+            LinkError: the port is in use; no autopilot at the URL to attach to; the autopilot is gone.
         """
         config = self._config
         _check_faults(config)
@@ -159,7 +159,7 @@ class Server:
                 truth.close()
 
     async def _reach(self) -> UdpLink | TcpLink | None:
-        """Open the link, which may have to wait for an autopilot; None if told to end meanwhile."""
+        """Open the link, which may have to wait for an autopilot; None if stopped meanwhile."""
         opening = asyncio.create_task(_open_link(self._config), name="open the link")
         stopping = asyncio.create_task(self._stop.wait(), name="stop")
         try:
@@ -174,13 +174,13 @@ class Server:
             await asyncio.gather(opening, stopping, return_exceptions=True)
 
     async def _serve(self, simulation: Simulation, outlet: Outlet, darkroom: Darkroom | None) -> Summary:
-        self._adopt(outlet.link, simulation)
+        self._use_link(outlet.link, simulation)
         simulation.start()
         self._on_ready(Ready(config=self._config))
         async with asyncio.TaskGroup() as tasks:
             developing = tasks.create_task(darkroom.run(), name="darkroom") if darkroom else None
-            turn = self._turn if self._leash is None else self._turn_on_leash
-            turning = tasks.create_task(turn(simulation, outlet), name="simulation")
+            advance = self._advance_with_wall if self._limits is None else self._advance_paced
+            turning = tasks.create_task(advance(simulation, outlet), name="simulation")
             linking = tasks.create_task(self._keep_link(simulation, outlet), name="link")
             await self._stop.wait()
             turning.cancel()
@@ -198,7 +198,7 @@ class Server:
         )
 
     async def _finish_photos(self, darkroom: Darkroom) -> None:
-        """Let the last photos reach the disk; a second signal cuts it short."""
+        """Wait until the last photos are on disk; a second signal ends the wait."""
         self._stop.clear()
         if darkroom.pending:
             self._note(f"waiting for {darkroom.pending} photos to be written")
@@ -213,8 +213,8 @@ class Server:
         if darkroom.pending:
             self._note(f"{darkroom.pending} photos were not written")
 
-    async def _turn(self, simulation: Simulation, outlet: Outlet) -> None:
-        """Let simulated time pass."""
+    async def _advance_with_wall(self, simulation: Simulation, outlet: Outlet) -> None:
+        """Advance simulated time with the wall clock."""
         clock, warned = simulation.clock, False
         while True:
             now = clock.now()
@@ -231,18 +231,18 @@ class Server:
                     )
             await asyncio.sleep(max(-late, _IDLE_S) if late < 0 else 0)
 
-    async def _turn_on_leash(self, simulation: Simulation, outlet: Outlet) -> None:
-        """Let simulated time pass as far as the parent allows, and no faster."""
-        leash, clock, timeline = self._leash, simulation.clock, simulation.timeline
-        assert leash is not None
+    async def _advance_paced(self, simulation: Simulation, outlet: Outlet) -> None:
+        """Advance simulated time within the limits that the parent sets."""
+        limits, clock, timeline = self._limits, simulation.clock, simulation.timeline
+        assert limits is not None
         if self._autopilot is None:
             outlet.timeline = timeline
         while True:
-            simulation.advance(min(clock.now(), leash.until_s))
+            simulation.advance(min(clock.now(), limits.until_s))
             outlet.tell_time()
             outlet.link.flush()
-            held = timeline.now_s >= leash.until_s
-            wait_s: float | None = max(0.0, clock.wall_delay(min(simulation.next_s, leash.until_s)))
+            held = timeline.now_s >= limits.until_s
+            wait_s: float | None = max(0.0, clock.wall_delay(min(simulation.next_s, limits.until_s)))
             if held:
                 wait_s = None if self._autopilot is None else SILENT_S
             if wait_s == 0:
@@ -250,21 +250,21 @@ class Server:
             else:
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(wait_s):
-                        await leash.changed.wait()
-            if held and self._autopilot is not None and not leash.changed.is_set():
+                        await limits.changed.wait()
+            if held and self._autopilot is not None and not limits.changed.is_set():
                 self._autopilot.forget()
-                leash.let(math.inf, self._config.speedup)
-            if leash.changed.is_set():
-                leash.changed.clear()
-                if held or clock.speedup != leash.speed:
-                    clock.go_on(timeline.now_s, leash.speed)
+                limits.let(math.inf, self._config.speedup)
+            if limits.changed.is_set():
+                limits.changed.clear()
+                if held or clock.speedup != limits.speed:
+                    clock.go_on(timeline.now_s, limits.speed)
 
-    def _adopt(self, link: UdpLink | TcpLink, simulation: Simulation) -> None:
+    def _use_link(self, link: UdpLink | TcpLink, simulation: Simulation) -> None:
         def receive(message: Message, frame: bytes) -> None:
-            # what arrives now happens now, not when the simulation looked at its clock last
+            # process the message at its time of arrival, not at the last advance
             if self._autopilot is not None and message.get_type() == "AUTOPILOT_STATE_FOR_GIMBAL_DEVICE":
-                self._follow(simulation, message.time_boot_us)
-            elif self._leash is None:
+                self._follow_autopilot(simulation, message.time_boot_us)
+            elif self._limits is None:
                 simulation.advance(simulation.clock.now())
             simulation.receiver(message, frame)
             link.flush()
@@ -273,30 +273,30 @@ class Server:
         if isinstance(link, TcpLink):
             link.on_closed = self._link_lost.set
 
-    def _follow(self, simulation: Simulation, boot_us: int) -> None:
-        """Come to the time that the autopilot tells, and go on from there."""
+    def _follow_autopilot(self, simulation: Simulation, boot_us: int) -> None:
+        """Advance to the autopilot's time and continue from there."""
         assert self._autopilot is not None
-        assert self._leash is not None
+        assert self._limits is not None
         told_s = self._autopilot.at(boot_us, simulation.timeline.now_s)
         if told_s > simulation.timeline.now_s:
             simulation.advance(told_s, budget_s=_CATCH_UP_S)
             simulation.clock.go_on(told_s, self._config.speedup)
-        self._leash.let(told_s + AHEAD_S, self._config.speedup)
+        self._limits.let(told_s + AHEAD_S, self._config.speedup)
 
     async def _keep_link(self, simulation: Simulation, outlet: Outlet) -> None:
-        """Join an autopilot again that closed the connection (it restarts); only TCP tells.
+        """Reconnect to an autopilot that closed the connection (reboot); only TCP detects it.
 
         Raises:
-            LinkError: it does not come back.
+            LinkError: reconnecting failed.
         """
         while True:
             await self._link_lost.wait()
             self._link_lost.clear()
-            self._note("the autopilot closed the connection; trying to join it again")
+            self._note("the autopilot closed the connection; reconnecting")
             url = self._config.attach_url
             assert url is not None
             outlet.link = await attach(url, patience_s=_RECONNECT_S)
-            self._adopt(outlet.link, simulation)
+            self._use_link(outlet.link, simulation)
 
     @contextlib.contextmanager
     def _signals(self) -> Any:
@@ -308,20 +308,20 @@ class Server:
 
         loop.add_signal_handler(signal.SIGINT, interrupted)
         loop.add_signal_handler(signal.SIGTERM, self._stop.set)
-        if self._tied:
+        if self._stdin_bound:
             loop.add_reader(sys.stdin.fileno(), self._stdin)
         try:
             yield
         finally:
-            if self._tied:
+            if self._stdin_bound:
                 loop.remove_reader(sys.stdin.fileno())
             loop.remove_signal_handler(signal.SIGINT)
             loop.remove_signal_handler(signal.SIGTERM)
 
     def _stdin(self) -> None:
         data = os.read(sys.stdin.fileno(), 4096)
-        if data and self._leash is not None:
-            self._leash.feed(data)
+        if data and self._limits is not None:
+            self._limits.feed(data)
         elif not data:
             asyncio.get_running_loop().remove_reader(sys.stdin.fileno())
             self._stop.set()
@@ -333,8 +333,8 @@ def _check_faults(config: SimConfig) -> None:
     for spec in config.faults:
         if spec.name in AUTOPILOT_FAULTS:
             raise UsageError(
-                f"--fault {spec.name} is the autopilot's, and with --attach that is a real one; "
-                "the payload's own faults are accepted"
+                f"--fault {spec.name} belongs to the autopilot, which is a real one with --attach; "
+                "only faults of the payload are available"
             )
 
 
@@ -345,12 +345,12 @@ def _open_truth(config: SimConfig) -> TruthLog:
         config.output.mkdir(parents=True, exist_ok=True)
         return TruthLog(config.output / "truth.jsonl")
     except OSError as error:
-        raise UsageError(f"--output {config.output}: cannot be written ({error.strerror}); name a directory") from error
+        raise UsageError(f"--output {config.output}: not writable ({error.strerror}); give a directory") from error
 
 
 @contextlib.asynccontextmanager
 async def _darkroom(config: SimConfig) -> AsyncIterator[Darkroom | None]:
-    """The darkroom, if photos are wanted."""
+    """The renderer process, if photos are written."""
     if config.output is None:
         if config.scene is not None:
             raise UsageError("--scene needs --output: without a directory no photos are written")
@@ -378,18 +378,18 @@ def run_simulation(
     *,
     on_ready: Callable[[Ready], None],
     note: Callable[[str], None],
-    tied: bool = False,
-    leashed: bool = False,
+    stdin_bound: bool = False,
+    paced: bool = False,
 ) -> Summary:
-    """Run the simulated vehicle in the foreground until it is told to end; see `Server`.
+    """Run the simulated vehicle in the foreground until it is stopped; see `Server`.
 
     Raises:
         PanoexecError: see `Server.run`.
     """
     try:
-        return asyncio.run(Server(config, on_ready=on_ready, note=note, tied=tied, leashed=leashed).run())
+        return asyncio.run(Server(config, on_ready=on_ready, note=note, stdin_bound=stdin_bound, paced=paced).run())
     except BaseExceptionGroup as group:
-        # one of the tasks failed for a reason that a user can understand
+        # one of the tasks failed with an error for the user
         understood, _ = group.split(LinkError)
         if understood is not None:
             raise understood.exceptions[0] from group

@@ -15,26 +15,26 @@ from panoexec.sim.mavlink.payload import Payload
 from panoexec.sim.mavlink.trigger import CameraTrigger
 from panoexec.sim.mavlink.vehicle import THIEF, Vehicle
 from panoexec.sim.mavlink.wire import Link, LocalLink, Receiver
-from panoexec.sim.photos.darkroom import Negative
+from panoexec.sim.photos.darkroom import ExposedPhoto
 from panoexec.sim.physics.airframe import Airframe
 from panoexec.sim.physics.camera import Exposure
 from panoexec.sim.physics.gimbal import GimbalPhysics, quaternion
 from panoexec.sim.physics.world import Repeater, SimClock, Timeline, TruthLog
 
 _CHUNK_S = 0.02
-"""Longest stretch of wall time in which the simulation does not look at its sockets."""
+"""Longest wall time between two polls of the sockets."""
 _FAULT_S = 0.02
 _HEADING_HOLD_S = 0.2
 
 
 class Simulation:
-    """The vehicle with its payload, or only the payload; joined to the world by one link.
+    """The vehicle with its payload, or the payload only, with one external link.
 
     Attributes:
-        timeline: what is due when.
+        timeline: the scheduled events.
         vehicle: the embedded autopilot, None when only the payload is simulated.
         payload: gimbal and camera components.
-        receiver: what the link's messages go to.
+        receiver: handler of the link's messages.
     """
 
     receiver: Receiver
@@ -46,7 +46,7 @@ class Simulation:
         clock: SimClock,
         link: Link,
         truth: TruthLog,
-        develop: Callable[[Negative], None] | None = None,
+        develop: Callable[[ExposedPhoto], None] | None = None,
     ) -> None:
         self.config = config
         self.clock = clock
@@ -107,7 +107,7 @@ class Simulation:
         )
 
     def start(self) -> None:
-        """Start all components; time begins."""
+        """Start all components and simulated time."""
         self._truth.write("start", 0.0, {"seed": self.config.seed, "camera": asdict(self.config.camera.optics)})
         if self.vehicle is not None:
             self.vehicle.start()
@@ -128,13 +128,13 @@ class Simulation:
         if self.vehicle is not None:
             return self.airframe.true_yaw_deg() + self.physics.heading_error_deg
         gimbal = self.payload.gimbal
-        if math.isnan(gimbal.vehicle_yaw_deg):  # not told yet
+        if math.isnan(gimbal.vehicle_yaw_deg):  # not received yet
             return 0.0
         age = min(self.timeline.now_s - gimbal.vehicle_yaw_time_s, _HEADING_HOLD_S)
         return gimbal.vehicle_yaw_deg + gimbal.vehicle_yaw_rate_deg_s * age
 
     def advance(self, to_s: float, *, budget_s: float = _CHUNK_S) -> None:
-        """Run physics and events up to simulated time `to_s`, or as far as `budget_s` of wall time goes."""
+        """Run physics and events up to simulated time `to_s`, limited to `budget_s` of wall time."""
         step, timeline = self.config.step_s, self.timeline
         deadline = time.monotonic() + budget_s
         while True:
@@ -151,7 +151,7 @@ class Simulation:
 
     @property
     def next_s(self) -> float:
-        """When the next event is due; the physics before it is caught up with then."""
+        """Time of the next event; the physics up to it is computed then."""
         return self.timeline.next_s
 
     def _apply_faults(self) -> None:
@@ -176,7 +176,7 @@ class Simulation:
                 vehicle.modes.set(vehicle.modes.pilot_mode)
 
     def _develop(self, exposure: Exposure, fix: Fix | None) -> str:
-        """Send a photo to the darkroom, write the truth about it; the file's URL."""
+        """Queue a photo for rendering and log its true attitude; returns the file's URL."""
         output = self.config.output
         self._photos += 1
         name = f"IMG_{self._first_number + exposure.index - self.config.camera.index_start:05d}.jpg"
@@ -201,7 +201,7 @@ class Simulation:
             return name
         path = output.absolute() / name
         self._to_darkroom(
-            Negative(
+            ExposedPhoto(
                 path=str(path),
                 truth_deg=tuple((a.yaw_deg, a.roll_deg, a.pitch_deg) for a in exposure.truth),
                 q_wxyz=quaternion(exposure.measured),

@@ -18,7 +18,7 @@ from panoexec.angles import rotation
 from panoexec.sim.config import CameraConfig, GimbalConfig, SimConfig
 from panoexec.sim.faults import parse_fault
 from panoexec.sim.mavlink.dialect import mavlink
-from panoexec.sim.photos.darkroom import Darkroom, Negative
+from panoexec.sim.photos.darkroom import Darkroom, ExposedPhoto
 from panoexec.sim.photos.render import Renderer
 from panoexec.sim.photos.scene import procedural_scene
 from panoexec.sim.physics.world import SimClock, TruthLog
@@ -44,10 +44,10 @@ class _Silence:
 def photos(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[dict[str, Any], NDArray[np.float64]]]:
     """Photos of `POSES` and one of a drift: the truth of each, and its pixels."""
     output = tmp_path_factory.mktemp("photos")
-    negatives: list[Negative] = []
+    photos: list[ExposedPhoto] = []
     config = dataclasses.replace(CONFIG, output=output)
     truth = TruthLog(output / "truth.jsonl")
-    simulation = Simulation(config, clock=SimClock(), link=_Silence(), truth=truth, develop=negatives.append)
+    simulation = Simulation(config, clock=SimClock(), link=_Silence(), truth=truth, develop=photos.append)
     simulation.start()
     now = 0.0
     for pitch, yaw in (*POSES, POSES[0]):
@@ -58,19 +58,19 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[dict[str, Any
             now += 4.0
             simulation.advance(now, budget_s=math.inf)
     truth.close()
-    asyncio.run(_develop(config, negatives))
+    asyncio.run(_develop(config, photos))
     lines = (output / "truth.jsonl").read_text(encoding="utf-8").splitlines()
     events = [json.loads(line) for line in lines if '"exposure"' in line]
     return [(event, pixels_of(output / event["file"])) for event in events]
 
 
-async def _develop(config: SimConfig, negatives: list[Negative]) -> None:
+async def _develop(config: SimConfig, photos: list[ExposedPhoto]) -> None:
     darkroom = Darkroom(config.camera.optics, config.camera.render_width_px, scene=None, seed=config.seed)
     await darkroom.start()
     async with asyncio.TaskGroup() as tasks:
         running = tasks.create_task(darkroom.run(), name="darkroom")
-        for negative in negatives:
-            darkroom.develop(negative)
+        for photo in photos:
+            darkroom.develop(photo)
         assert await darkroom.drain(60.0)
         running.cancel()
     await darkroom.close()

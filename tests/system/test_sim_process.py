@@ -20,7 +20,7 @@ from panoexec.errors import LinkError, UsageError
 from panoexec.sim.config import SimConfig
 from panoexec.sim.mavlink.dialect import mavlink
 from panoexec.sim.mavlink.wire import attach
-from panoexec.sim.pacing import TIME_COMPONENT, TIME_MESSAGE, told_time_s
+from panoexec.sim.pacing import TIME_COMPONENT, TIME_MESSAGE, time_from_fields
 from panoexec.sim.process import free_udp_port, running_simulator
 
 SIMULATE = [sys.executable, "-m", "panoexec", "simulate"]
@@ -78,13 +78,13 @@ def test_the_verb_says_how_to_connect_flies_and_ends_cleanly(
     ("options", "complaint"),
     [
         (["--fault", "gimbal-broken"], "unknown fault 'gimbal-broken'; known are attitude-frozen"),
-        (["--speedup", "0"], "--speedup 0: accepted is more than 0"),
+        (["--speedup", "0"], "--speedup 0: expected more than 0"),
         (["--speedup", "fast"], "--speedup"),
-        (["--port", "99999"], "--port 99999: accepted are 1 to 65535"),
+        (["--port", "99999"], "--port 99999: expected 1 to 65535"),
         (["--camera", "no-such-camera"], "no camera profile 'no-such-camera'"),
-        (["--attach", "somewhere"], "--attach somewhere: accepted are tcp:HOST:PORT"),
-        (["--attach", "tcp:127.0.0.1:5762", "--fault", "reboot"], "--fault reboot is the autopilot's"),
-        (["--output", "/proc/nowhere"], "--output /proc/nowhere: cannot be written"),
+        (["--attach", "somewhere"], "--attach somewhere: expected tcp:HOST:PORT"),
+        (["--attach", "tcp:127.0.0.1:5762", "--fault", "reboot"], "--fault reboot belongs to the autopilot"),
+        (["--output", "/proc/nowhere"], "--output /proc/nowhere: not writable"),
         (["--scene", "whatever.jpg"], "--scene needs --output"),
         (["--set", "gimbal.speed=3"], "no such number"),
     ],
@@ -148,9 +148,9 @@ async def test_a_program_runs_it_and_gets_its_account(tmp_path: Path) -> None:
     assert not alive(pid)
 
 
-async def test_on_a_leash_it_goes_as_far_as_it_is_allowed_and_tells_its_time(ground: socket.socket) -> None:
+async def test_paced_simulation_advances_to_its_limit_and_sends_its_time(ground: socket.socket) -> None:
     config = SimConfig(port=ground.getsockname()[1], speedup=20.0)
-    async with running_simulator(config, leashed=True) as simulator:
+    async with running_simulator(config, paced=True) as simulator:
         for until_s in (0.5, 1.2345678):
             simulator.allow(until_s, 20.0)
             told = await asyncio.to_thread(times_until, ground, until_s)
@@ -166,7 +166,7 @@ def times_until(ground: socket.socket, until_s: float) -> list[float]:
     while not told or told[-1] < until_s - 1e-6:
         for message in parser.parse_buffer(ground.recv(65535)) or ():
             if message.get_type() == TIME_MESSAGE and message.get_srcComponent() == TIME_COMPONENT:
-                told.append(told_time_s(message.time_boot_ms, message.value))
+                told.append(time_from_fields(message.time_boot_ms, message.value))
             else:
                 assert told  # nothing comes before its time
     return told
@@ -184,7 +184,7 @@ async def test_a_program_gets_its_errors_as_exceptions(tmp_path: Path, ground: s
 PARENT = """
 import asyncio, pathlib, sys
 from panoexec.sim.config import SimConfig
-from panoexec.sim.pacing import TIME_COMPONENT, TIME_MESSAGE, told_time_s
+from panoexec.sim.pacing import TIME_COMPONENT, TIME_MESSAGE, time_from_fields
 from panoexec.sim.process import free_udp_port, running_simulator
 
 async def main():
@@ -211,7 +211,7 @@ async def test_attaching_waits_for_the_autopilot_and_gives_up() -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    with pytest.raises(LinkError, match=f"tcp:127.0.0.1:{port}: nobody answers there"):
+    with pytest.raises(LinkError, match=f"tcp:127.0.0.1:{port}: connection failed"):
         await attach(f"tcp:127.0.0.1:{port}", patience_s=0.3)
 
 
@@ -246,7 +246,7 @@ async def test_the_payload_joins_an_autopilot_again_that_restarts() -> None:
         second[1].close()
         server.close()
         await asyncio.gather(first[1].wait_closed(), second[1].wait_closed())
-    assert any("trying to join it again" in note for note in notes)
+    assert any("reconnecting" in note for note in notes)
 
 
 async def test_the_payload_lives_the_time_that_its_autopilot_tells() -> None:

@@ -174,7 +174,7 @@ def test_a_sitl_that_dies_ends_the_dry_run_with_its_name(tmp_path: Path) -> None
         os.kill(sitl, signal.SIGKILL)
         _, error = process.communicate(timeout=60)
         assert process.returncode == 3
-        assert f"{sitl_binary(None)} has ended by itself (signal 9)" in error.splitlines()[-1]
+        assert f"{sitl_binary(None)} exited unexpectedly (signal 9)" in error.splitlines()[-1]
         assert_none_left(children, within_s=0.0)
 
 

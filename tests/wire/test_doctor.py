@@ -1,4 +1,4 @@
-"""The examination of simulated vehicles: sound ones, poor ones, none."""
+"""The doctor on simulated vehicles: healthy, limited, none."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def found(document: dict[str, Any], area: str, check: str) -> dict[str, Any]:
 
 
 async def doctor(folder: Path, text: str, *arguments: str) -> tuple[int, dict[str, Any], str]:
-    """Run the verb; exit code, document, what it said besides."""
+    """Run `panoexec doctor`: exit code, JSON document, standard error."""
     (folder / "config.toml").write_text(text)
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "panoexec", "doctor", "--config", str(folder / "config.toml"), "--json", *arguments),
@@ -63,7 +63,7 @@ async def examined(folder: Path, port: int, more: str = "", *, patience_s: float
 
 
 @needs_mosquitto
-async def test_a_sound_vehicle_is_found_whole(tmp_path: Path) -> None:
+async def test_healthy_vehicle(tmp_path: Path) -> None:
     port = free_udp_port()
     with running_broker(tmp_path) as broker:
         more = f'[mqtt]\nhost = "127.0.0.1"\nport = {broker.port}\n'
@@ -94,7 +94,7 @@ async def test_a_sound_vehicle_is_found_whole(tmp_path: Path) -> None:
     assert found(document, "mission", "plan")["found"].startswith("18 images")
     assert "MQTT 5" in found(document, "broker", "connection")["found"]
     assert found(document, "broker", "answers")["verdict"] == "ok"
-    assert " UTC, ours is " in found(document, "clock", "vehicle")["found"]
+    assert " UTC, this computer is " in found(document, "clock", "vehicle")["found"]
 
 
 async def poor_vehicle(folder: Path) -> Findings:
@@ -122,7 +122,7 @@ async def busy_px4(folder: Path) -> Findings:
         return await examined(folder, port, more)
 
 
-async def test_what_is_poor_taken_or_wrong_is_told_with_what_to_set(tmp_path: Path) -> None:
+async def test_limited_and_busy_devices_are_reported_with_advice(tmp_path: Path) -> None:
     """Side by side: finding a gimbal that does not tell its name takes MAVSDK 6 s."""
     for name in ("poor", "px4"):
         (tmp_path / name).mkdir()
@@ -145,8 +145,8 @@ async def test_what_is_poor_taken_or_wrong_is_told_with_what_to_set(tmp_path: Pa
     assert "MNT_MODE_OUT = 2" in found(document, "gimbal", "found")["found"]
     control = found(document, "gimbal", "control")
     assert control["verdict"] == "warning"
-    assert "system 255 component 190 has it; it was left there" in control["found"]
-    assert found(document, "camera", "storage")["found"] == "room for 8 photos"
+    assert "system 255 component 190 has it; not taken from it" in control["found"]
+    assert found(document, "camera", "storage")["found"] == "space for 8 photos"
     assert found(document, "camera", "profile")["verdict"] == "warning"
 
 
@@ -162,7 +162,7 @@ async def test_without_an_autopilot_both_kinds_of_parameters_are_named(tmp_path:
     assert found(document, "disk", "storage")["verdict"] == "ok", "the rest is examined all the same"
 
 
-async def test_a_port_that_the_daemon_holds_(tmp_path: Path) -> None:
+async def test_port_in_use_by_the_daemon(tmp_path: Path) -> None:
     config = Config.model_validate({"vehicle": {"connection": "udpin://127.0.0.1:1"}, "storage": {"path": tmp_path}})
     findings = Findings()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
@@ -176,7 +176,7 @@ async def test_a_port_that_the_daemon_holds_(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not os.environ.get(BINARY_VARIABLE), reason=f"set {BINARY_VARIABLE} to an ArduCopter SITL binary")
-async def test_ardupilots_own_software(tmp_path: Path) -> None:
+async def test_ardupilot_sitl(tmp_path: Path) -> None:
     vehicle = SitlVehicle(binary=sitl_binary(None), simulation=SimConfig())
     async with vehicle.running(images=None, note=lambda _: None) as rig:
         text = config_text(1, tmp_path).replace("udpin://127.0.0.1:1", rig.connection)

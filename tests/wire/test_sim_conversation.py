@@ -1,4 +1,4 @@
-"""The embedded vehicle answers as the real ArduCopter answered (tests/data, ArduCopter 4.7.0-dev SITL)."""
+"""The embedded vehicle responds like a recorded ArduCopter (tests/data, ArduCopter 4.7.0-dev SITL)."""
 
 from __future__ import annotations
 

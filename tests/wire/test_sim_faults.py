@@ -1,4 +1,4 @@
-"""Every fault as it shows on the wire."""
+"""The effect of every fault on the wire."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def count(heard: list[Heard], name: str, component: int | None = None) -> int:
     return sum(item.name == name and component in (None, item.component) for item in heard)
 
 
-def test_link_loss_silences_both_ways_and_ends() -> None:
+def test_link_loss_blocks_both_directions_and_ends() -> None:
     bench = Bench("link-loss=1+5")
     bench.shoot(0.99)
     assert bench.peer.listen(5.0) == []
@@ -65,7 +65,7 @@ def test_link_loss_silences_both_ways_and_ends() -> None:
     assert deaf.peer.simulation.physics.estimate.pitch_deg == pytest.approx(-10.0, abs=0.2)
 
 
-def test_reboot_forgets_what_was_asked() -> None:
+def test_reboot_resets_requested_streams() -> None:
     bench = Bench("reboot=1,x4")
     bench.shoot(1.05)
     assert bench.peer.listen(3.9) == []
@@ -124,7 +124,7 @@ def test_the_gimbal_is_slow() -> None:
     assert bench.peer.simulation.physics.estimate.pitch_deg == pytest.approx(-70.0, abs=0.2)
 
 
-def test_drift_strikes_while_the_shutter_is_open_and_is_seen_in_the_feedback() -> None:
+def test_drift_occurs_while_the_shutter_is_open_and_shows_in_the_feedback() -> None:
     bench = Bench("drift=#2,x2")
     bench.shoot()
     _, heard = bench.shoot()
@@ -213,7 +213,7 @@ def test_the_storage_is_full() -> None:
     assert bench.request("STORAGE_INFORMATION", 100).available_capacity == 0.0
 
 
-def test_a_camera_says_unasked_that_its_storage_is_full_and_that_it_is_not_any_more() -> None:
+def test_camera_sends_storage_information_at_every_change() -> None:
     """As the protocol wants it: who asks every few real seconds learns it late of a sped-up vehicle."""
     bench = Bench("storage-full=1+4")
     told = [item.message for item in bench.shoot(7.0)[1] if item.name == "STORAGE_INFORMATION"]
@@ -259,7 +259,7 @@ def test_faults_combine() -> None:
     assert bench.exposures[0]["estimated_yaw_roll_pitch_deg"][2] == pytest.approx(-10.0, abs=0.2)
 
 
-def test_a_servo_camera_loses_commands_and_refuses_and_keeps_silent_too() -> None:
+def test_photo_faults_of_a_servo_camera() -> None:
     config = SimConfig(
         camera_kind="servo",
         faults=tuple(parse_fault(t) for t in ("photo-lost=#1", "photo-refused=#2", "capture-lost=#3")),

@@ -1,4 +1,4 @@
-"""The simulated vehicle as MAVSDK sees it: a process of its own, over UDP, without panoexec's adapters in between."""
+"""The simulated vehicle as seen by MAVSDK, in a separate process over UDP, without panoexec's adapters."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ async def test_the_camera_as_mavsdk_lists_it() -> None:
         assert camera.horizontal_resolution_px == optics.image_width_px
 
 
-async def test_a_servo_camera_proves_itself_by_feedback_only() -> None:
+async def test_servo_camera_is_reported_by_camera_feedback_only() -> None:
     async with asyncio.timeout(60), flying(SimConfig(camera_kind="servo", mount="servo")) as (_, ground):
         await ground.stream(285, 30)
         await ground.first_gimbal()
@@ -140,7 +140,7 @@ async def test_a_servo_camera_proves_itself_by_feedback_only() -> None:
 
 
 @pytest.mark.parametrize(("autopilot", "mode", "device"), [("ardupilot", "OFFBOARD", 1), ("px4", "HOLD", 154)])
-async def test_both_autopilots_are_ready_to_fly_in_mavsdks_eyes(autopilot: Any, mode: str, device: int) -> None:
+async def test_mavsdk_reports_both_autopilots_ready_to_fly(autopilot: Any, mode: str, device: int) -> None:
     async with asyncio.timeout(60), flying(SimConfig(autopilot=autopilot)) as (_, ground):
         await ground.stream(285, 1, 33, 245, 242, 24)
         telemetry = TelemetryAsync(ground.system)

@@ -1,4 +1,4 @@
-"""A camera on the shutter output of a real autopilot: the payload exposes when that says that it triggered."""
+"""A camera on the shutter output of a real autopilot: the payload exposes when the autopilot reports a trigger."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def exposures(peer: EmbeddedPeer) -> list[float]:
     return [event["sim_s"] for event in peer.truth.events if event["event"] == "exposure"]
 
 
-def test_it_exposes_at_each_trigger_of_the_autopilot_and_says_nothing() -> None:
+def test_it_exposes_at_each_trigger_and_sends_no_message() -> None:
     peer = EmbeddedPeer(RELEASED)
     heard = peer.listen(2.0)
     assert {item.component for item in heard} == {mavlink.MAV_COMP_ID_GIMBAL}, "no camera beats"
@@ -37,7 +37,7 @@ def test_it_exposes_at_each_trigger_of_the_autopilot_and_says_nothing() -> None:
     assert exposures(peer) == pytest.approx([2.05, 3.55], abs=0.01)
 
 
-def test_it_hears_nobody_but_the_autopilot_and_answers_no_command() -> None:
+def test_it_ignores_other_components_and_commands() -> None:
     peer = EmbeddedPeer(RELEASED)
     peer.send(feedback(1), component=100)
     shoot = mavlink.MAVLink_command_long_message(1, 100, mavlink.MAV_CMD_IMAGE_START_CAPTURE, 0, 0, 0, 1, 1, 0, 0, 0)
@@ -47,7 +47,7 @@ def test_it_hears_nobody_but_the_autopilot_and_answers_no_command() -> None:
     assert "COMMAND_ACK" not in {item.name for item in heard}
 
 
-def test_a_mavlink_camera_does_not_mind_the_feedback_of_others() -> None:
+def test_mavlink_camera_ignores_the_feedback_of_others() -> None:
     peer = EmbeddedPeer(dataclasses.replace(RELEASED, camera_kind="mavlink"))
     peer.send(feedback(1), component=mavlink.MAV_COMP_ID_AUTOPILOT1)
     heard = peer.listen(2.0)

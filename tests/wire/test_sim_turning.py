@@ -1,4 +1,4 @@
-"""The embedded vehicle turns its nose on command, under gimbals that pan, that pan a little, and that do not pan."""
+"""The embedded vehicle yaws on command, with gimbals of full, limited and no pan."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_in_guided_it_turns_the_short_way_within_rate_and_acceleration_and_stays
     assert heading(peer) == pytest.approx(-30.0, abs=0.01)
 
 
-def test_it_turns_the_way_and_at_the_speed_that_it_is_told() -> None:
+def test_it_yaws_in_the_commanded_direction_at_the_commanded_rate() -> None:
     peer = EmbeddedPeer(STILL)
     assert ask(peer, command(TURN, 30.0, 15.0, -1, 0)) == ACCEPTED
     peer.listen(4.0)
@@ -72,7 +72,7 @@ def test_it_turns_the_way_and_at_the_speed_that_it_is_told() -> None:
     assert heading(peer) == pytest.approx(45.0 - 360.0, abs=0.1)
 
 
-def test_outside_guided_it_says_yes_and_stays_as_arducopter_does() -> None:
+def test_outside_guided_the_command_is_accepted_and_ignored_as_in_arducopter() -> None:
     peer = EmbeddedPeer(STILL)
     assert ask(peer, command(MODE, 1, LOITER)) == ACCEPTED
     assert ask(peer, command(TURN, 90.0, 0, 0, 0)) == ACCEPTED
@@ -83,7 +83,7 @@ def test_outside_guided_it_says_yes_and_stays_as_arducopter_does() -> None:
     assert ask(peer, command(TURN, 90.0, 0, 0, 0.5)) == FAILED
 
 
-def test_px4_turns_by_a_reposition_and_knows_no_condition_yaw() -> None:
+def test_px4_yaws_by_reposition_and_does_not_support_condition_yaw() -> None:
     peer = EmbeddedPeer(dataclasses.replace(STILL, autopilot="px4"))
     assert ask(peer, command(TURN, 90.0, 0, 0, 0)) == UNSUPPORTED
     place = (math.radians(90.0), 473977420, 85455940, 518.0)
@@ -93,14 +93,14 @@ def test_px4_turns_by_a_reposition_and_knows_no_condition_yaw() -> None:
     assert heading(peer) == pytest.approx(90.0, abs=0.1)
 
 
-def test_wind_pushes_the_nose_off_the_heading_it_was_told() -> None:
+def test_wind_displaces_the_heading_from_its_setpoint() -> None:
     windy = dataclasses.replace(CALM, wind_m_s=8.0, wind_from_deg=65.0)
     peer = EmbeddedPeer(dataclasses.replace(STILL, airframe=windy))
     peer.listen(1.0)
     assert heading(peer) == pytest.approx(20.0 + windy.heading_offset_deg, abs=0.01)
 
 
-def test_a_two_axis_gimbal_says_so_and_looks_where_the_nose_does() -> None:
+def test_two_axis_gimbal_reports_no_pan_and_points_along_the_nose() -> None:
     peer = EmbeddedPeer(with_pan(0.0, 0.0))
     peer.send(command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION))
     (told,) = [h.message for h in peer.listen(0.2) if h.name == "GIMBAL_MANAGER_INFORMATION"]

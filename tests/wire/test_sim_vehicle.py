@@ -1,4 +1,4 @@
-"""What the embedded vehicle puts on the wire: streams, gimbal, camera, habits of ArduPilot and of PX4."""
+"""Messages of the embedded vehicle: streams, gimbal, camera, differences of ArduPilot and PX4."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_measured_attitude_composes_with_the_heading_to_the_target() -> None:
         assert all(s.flags == 60 and s.failure_flags == 0 for s in statuses)
 
 
-def test_at_the_nadir_euler_angles_jump_while_the_boresight_stands() -> None:
+def test_at_the_nadir_euler_angles_jump_while_the_boresight_is_steady() -> None:
     """As measured on the real one: roll and yaw of the 3-2-1 sequence by tens of degrees, the boresight by 0.02°."""
     peer = EmbeddedPeer(STILL)
     stream(peer, GIMBAL_DEVICE_ATTITUDE_STATUS=50)
@@ -97,7 +97,7 @@ def test_at_the_nadir_euler_angles_jump_while_the_boresight_stands() -> None:
     assert off.max() < 0.1
 
 
-def test_pitch_beyond_the_limit_is_accepted_and_cut_without_a_word() -> None:
+def test_pitch_beyond_the_limit_is_accepted_and_clipped_silently() -> None:
     config = SimConfig(
         gimbal=dataclasses.replace(GimbalConfig(), pitch=dataclasses.replace(GimbalConfig().pitch, max_deg=45))
     )
@@ -131,7 +131,7 @@ def test_a_photo_is_reported_with_its_attitude_place_and_time_and_the_truth_is_k
     assert boot_s == pytest.approx(truth["sim_s"], abs=1e-3)
 
 
-def test_the_camera_tells_what_it_is_and_what_room_it_has() -> None:
+def test_camera_information_and_storage() -> None:
     peer = EmbeddedPeer(dataclasses.replace(STILL, camera=CameraConfig(storage_mib=25.0, interval_s=0.5)))
     _, heard = ask(peer, command(REQUEST, 259, to=100), component=100)
     (information,) = named(heard, "CAMERA_INFORMATION", 100)
@@ -148,7 +148,7 @@ def test_the_camera_tells_what_it_is_and_what_room_it_has() -> None:
     assert named(heard, "CAMERA_CAPTURE_STATUS", 100)[0].image_count == 2
 
 
-def test_the_camera_refuses_within_its_interval_and_repeats_its_answer_to_a_retransmission() -> None:
+def test_camera_denies_within_its_interval_and_repeats_its_ack_to_a_retransmission() -> None:
     peer = EmbeddedPeer(STILL)
     shoot = command(SHOOT, 0, 0, 1, 1, to=100)
     assert ask(peer, shoot, component=100)[0] == ACCEPTED
@@ -173,7 +173,7 @@ def test_a_series_of_photos_keeps_the_interval_and_can_be_stopped() -> None:
     assert len(photos(peer)) == 7
 
 
-def test_a_reboot_forgets_intervals_and_control_and_counts_from_zero() -> None:
+def test_reboot_resets_intervals_control_and_boot_time() -> None:
     peer = EmbeddedPeer()
     stream(peer, ATTITUDE=50, GIMBAL_DEVICE_ATTITUDE_STATUS=50, GIMBAL_MANAGER_STATUS=2)
     ask(peer, command(CONFIGURE, -2, -2, -1, -1, 0, 0, 0))
@@ -190,7 +190,7 @@ def test_a_reboot_forgets_intervals_and_control_and_counts_from_zero() -> None:
     assert (status.primary_control_sysid, status.primary_control_compid) == (0, 0)
 
 
-def test_px4_streams_by_itself_names_the_device_and_refuses_who_is_not_in_control() -> None:
+def test_px4_default_streams_device_id_and_denial_without_control() -> None:
     peer = EmbeddedPeer(SimConfig(autopilot="px4"))
     peer.send(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))
     heard = peer.listen(2.01)
@@ -225,7 +225,7 @@ def test_a_servo_mount_reports_the_demand_relative_to_the_airframe() -> None:
     assert abs(pitch) == pytest.approx(14.0, abs=0.1)
 
 
-def test_a_camera_on_a_servo_proves_nothing_but_a_count() -> None:
+def test_camera_on_a_servo_reports_only_a_count() -> None:
     peer = EmbeddedPeer(dataclasses.replace(STILL, camera_kind="servo"))
     _, heard = ask(peer, command(REQUEST, 259))
     (information,) = named(heard, "CAMERA_INFORMATION")

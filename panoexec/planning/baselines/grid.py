@@ -1,4 +1,4 @@
-"""Rows of evenly spaced images as shots: what the paper's and HDRpano's planners share."""
+"""Rows of evenly spaced images as shots: shared by the paper's and HDRpano's planners."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class Row:
     """Images of one pitch, evenly spaced: over the full circle from yaw 0, over a sector about its middle.
 
     Attributes:
-        pitch_deg: of all images of the row.
-        count: images.
-        spacing_deg: the share of the band's azimuths that each image stands in the middle of.
+        pitch_deg: pitch of all images of the row.
+        count: number of images.
+        spacing_deg: yaw difference of neighbours; the images divide the band's azimuths into equal parts.
     """
 
     pitch_deg: float
@@ -28,7 +28,7 @@ class Row:
 
     @property
     def is_cap(self) -> bool:
-        """Whether this is a single image straight up or down."""
+        """Whether this is a single image at the zenith or nadir."""
         return self.count == 1 and abs(self.pitch_deg) == 90.0
 
     def yaws(self, band: Band) -> FloatArray:
@@ -39,16 +39,16 @@ class Row:
 
 
 def evenly_spaced(pitch_deg: float, count: int, band: Band) -> Row:
-    """A row of `count` images, spread over the band's azimuths."""
+    """A row of `count` images, evenly spaced over the band's azimuths."""
     return Row(pitch_deg=pitch_deg, count=count, spacing_deg=band.azimuth_span_deg / count)
 
 
 def shots_by_row(rows: Sequence[Row], band: Band) -> tuple[Shot, ...]:
-    """Shots row by row from the top down, to and fro, so that no pan range is ever crossed to begin a row.
+    """Shots row by row from the top down in a serpentine, so that the start of a row never needs a large pan.
 
     Args:
         rows: in any order.
-        band: tells where a row begins and ends.
+        band: gives the start and the end of a row.
     """
     ordered = sorted(rows, key=lambda row: row.pitch_deg)
     shots: list[Shot] = []
@@ -62,21 +62,21 @@ def shots_by_row(rows: Sequence[Row], band: Band) -> tuple[Shot, ...]:
 
 
 def check_reachable(shots: Sequence[Shot], gimbal: GimbalLimits | None) -> None:
-    """Refuse shots beyond the gimbal's limits; a fixed grid cannot bend around them.
+    """Reject shots outside the gimbal's limits; a fixed grid cannot adapt to them.
 
     Raises:
-        PlanningError: naming the first shot outside, its angle and the limit.
+        PlanningError: names the first shot outside, its angle and the limit.
     """
     if gimbal is None:
         return
     for shot in shots:
         if not gimbal.pitch_min_deg <= shot.pitch_deg <= gimbal.pitch_max_deg:
             raise PlanningError(
-                f"a row at pitch {shot.pitch_deg:.1f}° is needed, the gimbal reaches "
+                f"the plan needs a row at pitch {shot.pitch_deg:.1f}°, the gimbal reaches "
                 f"{gimbal.pitch_min_deg:g} to {gimbal.pitch_max_deg:g}°: ask for a smaller elevation band"
             )
         if not gimbal.all_round and not gimbal.yaw_min_deg <= shot.yaw_deg <= gimbal.yaw_max_deg:
             raise PlanningError(
-                f"a shot at yaw {shot.yaw_deg:.1f}° is needed, the gimbal pans from "
+                f"the plan needs a shot at yaw {shot.yaw_deg:.1f}°, the gimbal pans from "
                 f"{gimbal.yaw_min_deg:g} to {gimbal.yaw_max_deg:g}°: ask for a smaller azimuth sector"
             )

@@ -1,4 +1,4 @@
-"""HDRpano's column-and-row grid, worked out from the two plans in the paper's Table 1 that were made with it."""
+"""HDRpano's column-and-row grid, inferred from the two plans in the paper's Table 1 that were made with it."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from panoexec.planning.request import MAX_IMAGES, check_request
 
 
 def plan_hdrpano(camera: Camera, constraints: Constraints, columns: int, rows: int) -> Plan:
-    """A grid that asks nothing of overlap or coverage: `columns` at the horizon, fewer towards the poles.
+    """A grid without overlap or coverage constraints: `columns` images at the horizon, fewer towards the poles.
 
     The band's elevations are the *pitches* of the highest and of the lowest row, `rows` equal steps apart; so the
-    panorama reaches half a field of view further. A row has round(columns · cos(pitch)) images, the highest one is
-    counted at its inner edge, half a step nearer to the horizon. With 8 columns and 4 rows, or 21 and 10, from
-    pitch 30° to -90°, these are the paper's plans of Scenarios 1 and 2.
+    panorama extends half a field of view further. A row has round(columns · cos(pitch)) images; the count of the
+    highest row is taken at its inner edge, half a step nearer to the horizon. With 8 columns and 4 rows, or 21 and 10,
+    from pitch 30° to -90°, these are the paper's plans of Scenarios 1 and 2.
 
     Args:
         camera: the camera.
-        constraints: only its band and the gimbal's limits are used; the others are for judging the plan.
+        constraints: only its band and the gimbal's limits are used; the certificate checks the others.
         columns: images of a full circle at the horizon, at least 1.
         rows: steps between rows, at least 1.
 
     Raises:
-        PlanningError: impossible numbers, or a row beyond the gimbal's limits.
+        PlanningError: invalid numbers, or a row beyond the gimbal's limits.
     """
     check_request(camera, constraints)
     for name, value in (("columns", columns), ("rows", rows)):
         if not 1 <= value <= MAX_IMAGES:
-            raise PlanningError(f"{value} {name} are not possible: give a whole number from 1 to {MAX_IMAGES}")
+            raise PlanningError(f"{name} {value} is out of range: give a whole number from 1 to {MAX_IMAGES}")
     if columns * rows > MAX_IMAGES:
         raise PlanningError(f"{columns} columns times {rows} rows are too many: at most {MAX_IMAGES} images")
     band = constraints.band

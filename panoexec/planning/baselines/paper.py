@@ -1,20 +1,20 @@
-"""The paper's planner: Algorithms 1 and 2 on the exact overlap, with the gaps closed that they leave.
+"""The paper's planner: Algorithms 1 and 2 with exact overlap, extended to close the gaps that they leave.
 
-As published (Zhang, Liu, Zhou), read so that the algorithms can work at all:
+As published (Zhang, Liu, Zhou), with these interpretations:
 
 * "max O_i" is the largest angle whose overlap is still at least the threshold.
-* Algorithm 1 steps down in tilt until the nadir. As overlap does not depend on the tilt of a pair that differs only in
-  tilt, all steps are equal, up to the last one, which ends at the nadir with a single image, the cap.
+* Algorithm 1 decreases the tilt in steps to the nadir. The overlap of two images that differ only in tilt depends only
+  on the difference, so all steps are equal except the last one, which ends at the nadir with a single image, the cap.
 * Algorithm 2 takes n = ⌈360° / α⌉ images in a row, evenly spaced, so the closing pair overlaps as much as the rest.
 
-The algorithms look at pairs of neighbours only, and so leave holes: halfway between two images of a row the covered
-band is thinnest, and near the nadir a row of two or three images has next to none there. So, beyond the paper:
+The algorithms consider pairs of neighbours only and therefore leave holes: halfway between two images of a row the
+covered band is thinnest, and near the nadir a row of two or three images covers almost nothing there. Extensions:
 
-* the first row is as low as it can be while the band's upper end is covered all round, halfway between images too;
-* a row gets more images than Algorithm 2 says where its ring would not meet the ring of the next row, and where no
-  number of images would do that, all steps are made a little smaller.
+* the first row is as low as possible while the band's upper end is covered at all azimuths, halfway between images too;
+* a row gets more images than Algorithm 2 gives where its ring would not meet the ring of the next row; where no number
+  of images closes the gap, all steps are reduced slightly.
 
-That makes the band complete at the planned poses. Pointing errors are not considered: see `--method certified`.
+So the plan covers the band at the planned poses. Pointing errors are not considered: see `--method certified`.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from panoexec.planning.model import Constraints, Plan
 from panoexec.planning.request import MAX_IMAGES, check_request
 
 _LEAST_OVERLAP = 1e-9
-"""Thresholds below this count as this: any angle has an overlap of at least 0."""
+"""Smaller thresholds are replaced by this one: any angle has an overlap of at least 0."""
 _MARGIN_DEG = 1e-3
-"""Rings overlap each other and the band's ends by at least this much, far above the rounding of their borders."""
+"""Minimum overlap of rings with each other and with the band's ends, far above the rounding error of their borders."""
 _COUNTS_TRIED = 120
 _SHRINK = 0.97
 _SHRINKS = 60
 
 
 def plan_paper(camera: Camera, constraints: Constraints) -> Plan:
-    """Plan by the paper's Algorithms 1 and 2, complete at the planned poses.
+    """Plan with the paper's Algorithms 1 and 2, without gaps at the planned poses.
 
     Raises:
         PlanningError: the request cannot be satisfied.
@@ -64,7 +64,7 @@ def plan_paper(camera: Camera, constraints: Constraints) -> Plan:
         )
     images = sum(row.count for row in rows)
     if images > MAX_IMAGES:
-        raise PlanningError(f"{images} images would be needed, more than {MAX_IMAGES}: ask for less overlap or band")
+        raise PlanningError(f"the plan needs {images} images, more than {MAX_IMAGES}: ask for less overlap or band")
     shots = shots_by_row(rows, constraints.band)
     check_reachable(shots, constraints.gimbal)
     notes = _notes(rows, layout, shrinks)
@@ -72,7 +72,7 @@ def plan_paper(camera: Camera, constraints: Constraints) -> Plan:
 
 
 def tilt_step_deg(camera: Camera, overlap_v: float) -> float:
-    """Algorithm 1: the largest tilt between two images whose overlap is at least `overlap_v`, degrees."""
+    """Algorithm 1: the largest tilt difference of two images with an overlap of at least `overlap_v`, degrees."""
 
     def overlap(angles_deg: FloatArray) -> FloatArray:
         return pairwise_overlap(camera, np.eye(3), rotation(0.0, angles_deg))
@@ -81,27 +81,27 @@ def tilt_step_deg(camera: Camera, overlap_v: float) -> float:
 
 
 def pan_step_deg(camera: Camera, pitch_deg: float, overlap_h: float) -> float:
-    """Algorithm 2: the largest pan, up to 180°, between two images at `pitch_deg` that overlap by `overlap_h`.
+    """Algorithm 2: the largest pan difference, up to 180°, of two images at `pitch_deg` that overlap by `overlap_h`.
 
-    Near the nadir overlap may rise again beyond some pan; the angle returned is the first one that is not passed.
+    Near the nadir the overlap may increase again beyond some pan; the result is the first angle of the threshold.
     """
     fixed = rotation(0.0, pitch_deg)
 
     def overlap(angles_deg: FloatArray) -> FloatArray:
         return pairwise_overlap(camera, fixed, rotation(angles_deg, pitch_deg))
 
-    # overlap only rises again where an image is as large as its distance from the pole, so not within a degree of pan
+    # the overlap increases again only where an image is as large as its distance from the pole: not within 1° of pan
     return _largest_angle(overlap, max(overlap_h, _LEAST_OVERLAP), 180.0, 181)
 
 
 _pan_step_deg = lru_cache(maxsize=1024)(pan_step_deg)
-"""The same rows are asked about again and again while a layout is being closed."""
+"""Cached: the same rows are evaluated repeatedly while the gaps of a layout are closed."""
 
 
 def _largest_angle(
     overlap: Callable[[FloatArray], FloatArray], threshold: float, up_to_deg: float, points: int
 ) -> float:
-    """The angle at which the overlap first falls below the threshold, or `up_to_deg`: narrowed down 33-fold a time."""
+    """First angle at which the overlap falls below the threshold, or `up_to_deg`; each step narrows it 33-fold."""
     low, high = 0.0, up_to_deg
     while high - low > 1e-9:
         angles = np.linspace(low, high, points)
@@ -115,7 +115,7 @@ def _largest_angle(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Layout:
-    """The rows for one tilt step; `rows` gives None where gaps remain however many images a row has."""
+    """The rows for one tilt step; `rows` returns None where gaps remain for any number of images."""
 
     camera: Camera
     constraints: Constraints
@@ -124,7 +124,7 @@ class _Layout:
 
     @property
     def step_deg(self) -> float:
-        """From a row to the next."""
+        """Pitch difference of consecutive rows."""
         return self.tilt_step_deg * self.shrink
 
     def rows(self) -> list[Row] | None:
@@ -144,7 +144,7 @@ class _Layout:
         return rows
 
     def paper_row(self, pitch_deg: float) -> Row:
-        """The row at a pitch as Algorithm 2 has it."""
+        """The row at a pitch according to Algorithm 2."""
         if abs(pitch_deg) == 90.0:
             return self._row(pitch_deg, 1)
         band = self.constraints.band
@@ -153,7 +153,7 @@ class _Layout:
         return self._row(pitch_deg, max(least, math.ceil(band.azimuth_span_deg / step - 1e-9)))
 
     def ring(self, row: Row) -> tuple[float, float]:
-        """Elevations that the row covers over all of the band's azimuths."""
+        """Elevations that the row covers at all azimuths of the band."""
         if row.is_cap:
             radius = cap_radius_deg(self.camera)
             return (90.0 - radius, 90.0) if row.pitch_deg > 0 else (-90.0, -90.0 + radius)
@@ -164,7 +164,7 @@ class _Layout:
         return evenly_spaced(pitch_deg, count, self.constraints.band)
 
     def _pitches_between(self, first: Row, last: Row) -> list[float]:
-        """Algorithm 1: pitches below the first row, a step apart, until one step more reaches the last row."""
+        """Algorithm 1: pitches below the first row, in equal steps, until one more step reaches the last row."""
         pitches: list[float] = []
         pitch, step = first.pitch_deg, self._cap_step if first.is_cap else self.step_deg
         last_step = self._cap_step if last.is_cap else self.step_deg
@@ -176,16 +176,16 @@ class _Layout:
 
     @property
     def _cap_step(self) -> float:
-        """The step between a row and a cap: less than others if images are narrow, as a cap covers only a circle."""
+        """The step between a row and a cap: smaller than others for narrow images, as a cap covers only a circle."""
         reach = self.camera.vfov_deg / 2 + cap_radius_deg(self.camera)
         return min(self.step_deg, _SHRINK * self.shrink * reach)
 
     def _end_row(self, elevation_deg: float, side: float) -> Row:
         """The row that covers the band up to its upper (side 1) or down to its lower (side -1) end.
 
-        A row of more images reaches further halfway between them, and so can stand further from the end. The number
-        is chosen that covers most solid angle an image, and never less than Algorithm 2 says. A cap, as the paper has
-        it, if the end is a pole, or if nothing else reaches the end.
+        A row of more images covers more halfway between them, and so can be further from the end. The count is the one
+        with the most solid angle covered per image, and at least that of Algorithm 2. At a pole, or if no row reaches
+        the end, it is a cap, as in the paper.
         """
         cap = self._row(90.0 * side, 1)
         natural = elevation_deg - side * self.camera.vfov_deg / 2
@@ -203,14 +203,14 @@ class _Layout:
         return next((row for _, row in options if row.count >= self.paper_row(row.pitch_deg).count), cap)
 
     def _gain(self, row: Row) -> float:
-        """How much of the band the row covers all round, in units of sin(elevation): proportional to solid angle."""
+        """Extent of the band that the row covers at all azimuths, in units of sin(elevation) (∝ solid angle)."""
         band = self.constraints.band
         low, high = self.ring(row)
         low, high = max(low, band.elevation_min_deg), min(high, band.elevation_max_deg)
         return math.sin(math.radians(high)) - math.sin(math.radians(low))
 
     def _end_pitch(self, elevation_deg: float, side: float, count: int) -> float | None:
-        """The pitch furthest from the band's end at which a row of `count` images covers that end."""
+        """The pitch furthest from the band's end at which a row of `count` images still covers that end."""
         reach = self._row(0.0, count).spacing_deg / 2
         fov = self.camera.vfov_deg
         first, last = elevation_deg - side * fov / 2, elevation_deg + side * fov / 2 + side * 2 * _MARGIN_DEG
@@ -229,7 +229,7 @@ class _Layout:
         return float(pitches[-1])
 
     def _closed(self, above: Row, below: Row) -> tuple[Row, Row] | None:
-        """The two rows with as many more images as it takes for their rings to meet; None if it never does."""
+        """The two rows with images added until their rings meet; None if they never do."""
         gap = self._gap(above, below)
         most = 4 * max(above.count, below.count) + 16
         while gap > -_MARGIN_DEG:
@@ -254,12 +254,12 @@ class _Layout:
 def _notes(rows: list[Row], layout: _Layout, shrinks: int) -> tuple[str, ...]:
     notes = []
     if shrinks:
-        notes.append(f"rows {1 - _SHRINK**shrinks:.0%} closer than Algorithm 1 asks for, or gaps would remain")
+        notes.append(f"rows {1 - _SHRINK**shrinks:.0%} closer than Algorithm 1 gives, to avoid gaps")
     for row in rows:
         published = layout.paper_row(row.pitch_deg).count
         if row.count > published:
             notes.append(
                 f"row at {row.pitch_deg:.1f}°: {row.count} images instead of Algorithm 2's {published}, "
-                "to leave no gap to the next row or the band's end"
+                "to avoid a gap to the next row or the band's end"
             )
     return tuple(notes)

@@ -1,8 +1,8 @@
-"""The five plans of the paper's Table 1 as data, to be verified and compared.
+"""The five plans of the paper's Table 1 as data, for verification and comparison.
 
-The table's only reading whose sums agree with the stated totals. The paper's tilt is positive down, so pitch = -tilt.
-Images are evenly spaced in a row; the rows' phases are not published and taken as 0. "From tilt -30°" means that the
-sky above is not captured: each plan's band ends where its own top row still covers all round.
+This is the only reading of the table whose sums agree with the stated totals. The paper's tilt is positive down, so
+pitch = -tilt. Images are evenly spaced in a row; the rows' phases are not published and are set to 0. "From tilt -30°"
+means that the sky above is not captured: each plan's band ends where its top row still covers all azimuths.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class PublishedPlan:
 
     @property
     def images(self) -> int:
-        """The plan's total."""
+        """Total number of images."""
         return sum(self.images_by_tilt.values())
 
 
@@ -95,7 +95,7 @@ def published_plan(name: str) -> Plan:
     """
     published = PUBLISHED.get(name)
     if published is None:
-        raise UsageError(f"no published plan is called {name!r}: there are {', '.join(PUBLISHED)}")
+        raise UsageError(f"unknown published plan {name!r}: choose from {', '.join(PUBLISHED)}")
     band = Band(elevation_min_deg=-90.0, elevation_max_deg=published.elevation_max_deg)
     rows = [evenly_spaced(float(-tilt), count, band) for tilt, count in published.images_by_tilt.items()]
     constraints = Constraints(overlap_h=0.15, overlap_v=0.15, band=band, tolerance=PAPER_TOLERANCE)

@@ -1,17 +1,17 @@
 """The paper's ray casting, equations (4) to (6): a slow reference for tests, comparisons and benchmarks.
 
-One ray is cast through the middle of each pixel of image A; the overlap is the share of rays that meet image B.
-Everything that plans or certifies uses `panoexec.planning.geometry.overlap`, the limit of infinitely many pixels.
+One ray is cast through the centre of each pixel of image A; the overlap is the fraction of rays that hit image B.
+Planning and certification use `panoexec.planning.geometry.overlap`, the limit of infinitely many pixels.
 
-Three things about the paper (Zhang, Liu, Zhou: "UAV-Based Gigapixel Panoramic Image Acquisition Planning with Ray
+Three notes about the paper (Zhang, Liu, Zhou: "UAV-Based Gigapixel Panoramic Image Acquisition Planning with Ray
 Casting-Based Overlap Constraints"):
 
 * With the printed signs of its equation (1) the image plane is not perpendicular to the optical axis when an angle is
-  not 0; the intended camera, an ordinary pinhole turned about its centre of perspective, is used here.
-* A ray of a pixel never passes exactly through a pixel's middle in another image, so "collinear" of equation (4) is
-  read as: the ray meets image B anywhere in its rectangle.
-* Equation (6) widens that by an angle that grows with the gimbal's inaccuracy: the less accurate the gimbal, the *more*
-  overlap it reports. It is here for comparison; no plan and no guarantee rests on it.
+  not 0; the intended camera, an ordinary pinhole rotated about its centre of projection, is used here.
+* A pixel's ray never passes exactly through the centre of a pixel of another image, so "collinear" in equation (4) is
+  read as: the ray hits image B anywhere in its rectangle.
+* Equation (6) accepts rays that miss by an angle that grows with the gimbal's inaccuracy: the less accurate the gimbal,
+  the *more* overlap it reports. It is implemented for comparison only; no plan or guarantee uses it.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from panoexec.optics import Camera
 from panoexec.planning.geometry.footprint import corner_rays, edge_normals
 
 PAPER_TAU_PITCH_DEG = 0.017
-"""The paper's accuracy of roll and pitch, which also sets its pixel grid."""
+"""The paper's accuracy of roll and pitch, degrees, which also defines its pixel grid."""
 PAPER_TAU_YAW_DEG = 0.667
-"""The paper's accuracy of yaw."""
+"""The paper's accuracy of yaw, degrees."""
 
 _RAYS_AT_A_TIME = 1 << 16
 
@@ -39,7 +39,7 @@ def paper_grid(camera: Camera, tau_pitch_deg: float = PAPER_TAU_PITCH_DEG) -> tu
 
 
 def relaxation_deg(tau_pitch_deg: float = PAPER_TAU_PITCH_DEG, tau_yaw_deg: float = PAPER_TAU_YAW_DEG) -> float:
-    """The angle arccos ξ = √(2·τ_p² + τ_y²) by which equation (6) lets two rays differ, degrees."""
+    """The angle arccos ξ = √(2·τ_p² + τ_y²) by which two rays may differ in equation (6), degrees."""
     return math.sqrt(2 * tau_pitch_deg**2 + tau_yaw_deg**2)
 
 
@@ -59,13 +59,13 @@ def raycast_overlap(
         rotation_a: its camera-to-world rotation (3, 3).
         rotation_b: that of image B.
         grid: pixels (w, h) of image A; the paper's own by default.
-        relaxed_by_deg: equation (6): how far a ray may miss image B and still count, [0, 90).
-        camera_b: the camera of image B, if it is another one.
+        relaxed_by_deg: equation (6): largest angle by which a counted ray may miss image B, [0, 90).
+        camera_b: the camera of image B; by default the same camera.
 
     Returns:
-        The share of A's pixels, [0, 1]. It differs from the exact overlap by at most 1/w + 1/h: the overlap is convex,
-        so it cuts a line of w pixels in one piece, whose pixel count is off by less than one pixel, and the lengths of
-        these pieces rise and fall only once over the h lines.
+        The fraction of A's pixels, [0, 1]. It differs from the exact overlap by at most 1/w + 1/h: the overlap is
+        convex, so it cuts a line of w pixels in one piece, whose pixel count is off by less than one pixel, and the
+        lengths of these pieces increase and decrease only once over the h lines.
     """
     columns, rows = grid or paper_grid(camera_a)
     other = camera_b or camera_a
@@ -89,7 +89,7 @@ def _rays(y: FloatArray, z: FloatArray) -> FloatArray:
 
 
 def _meets(camera: Camera, rays: FloatArray, relaxed_by_deg: float) -> NDArray[np.bool_]:
-    """Whether rays (n, 3), in the camera's frame, pass through its image or within an angle of it."""
+    """Whether rays (n, 3), in the camera frame, pass through its image or miss it by at most an angle."""
     x, y, z = rays[:, 0], rays[:, 1], rays[:, 2]
     inside = (np.abs(y) <= camera.half_width * x) & (np.abs(z) <= camera.half_height * x)
     if relaxed_by_deg <= 0:
@@ -100,7 +100,7 @@ def _meets(camera: Camera, rays: FloatArray, relaxed_by_deg: float) -> NDArray[n
 
 
 def _angle_to_border(camera: Camera, rays: FloatArray) -> FloatArray:
-    """Angles (n,), radians, from rays (n, 3) in the camera's frame, outside its image, to the image's border."""
+    """Angles (n,), radians, from rays (n, 3) in the camera frame, outside its image, to the image's border."""
     units = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     normals, corners = edge_normals(camera), corner_rays(camera)
     nearest = np.arccos(np.clip(units @ corners.T, -1, 1)).min(axis=1)

@@ -1,1 +1,1 @@
-"""The proof of a plan: coverage, overlaps and connectivity under every pointing error (C1 to C4)."""
+"""Certification of a plan: coverage, overlaps and connectivity under every pointing error (C1 to C4)."""

@@ -1,8 +1,8 @@
-"""Who overlaps whom: neighbours in a row, partners in the next row, and the graph of images (C4).
+"""Which images overlap: neighbours in a row, images of adjacent rows, and the overlap graph (C4).
 
-The graph of C4 has an edge where two images see at least 5 % of each other, both ways, whatever the errors. Every graph
-that some combination of errors makes has these edges and perhaps more; more edges never disconnect a graph nor make
-another edge a bridge. So what holds for this graph holds for all of them.
+The graph of C4 has an edge where two images see at least 5 % of each other, both ways, for every pointing error. The
+graph for any particular combination of errors has at least these edges; additional edges never disconnect a graph nor
+turn another edge into a bridge. So a property proven for this graph holds for all of them.
 
 **Small plans.** A single image has no edge to lose: connected, and stays so. Two images have one edge, whose loss
 disconnects them: by C4 (docs/contract.md) they are not certified, nor is a chain of images that overlap their
@@ -22,14 +22,14 @@ from panoexec.planning.geometry.domain import Domain
 from panoexec.planning.model import Band
 
 MUTUAL_OVERLAP = 0.05
-"""Least overlap, both ways, that makes an edge of the graph."""
+"""Minimum overlap, both ways, for an edge of the graph."""
 
 IntArray = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rows:
-    """Images by row.
+    """Images grouped by row.
 
     Attributes:
         members: for each row number in ascending order, its images' indices, clockwise from the sector's start.
@@ -44,7 +44,7 @@ class Rows:
         """Sort images by row number and yaw."""
         numbers, row_of = np.unique(np.asarray(rows, dtype=np.int64), return_inverse=True)
         yaw, _, _ = yaw_pitch_roll(rotations)
-        # a sector is cut open opposite its middle, the full circle anywhere
+        # a sector is cut opposite its middle, the full circle at an arbitrary azimuth
         opposite = (band.azimuth_min_deg + band.azimuth_max_deg) / 2 - 180.0
         clockwise = (yaw - opposite) % 360.0
         order = np.lexsort((clockwise, row_of))
@@ -52,7 +52,7 @@ class Rows:
         return Rows(members=tuple(np.split(order, limits)) if len(order) else (), row_of=row_of.reshape(-1))
 
     def neighbours(self, closed: bool) -> tuple[IntArray, IntArray]:
-        """Pairs that follow each other in a row; with `closed` the last and the first of each row, too."""
+        """Pairs of consecutive images in a row; with `closed` also the last and the first of each row."""
         firsts, seconds = [np.empty(0, dtype=np.intp)], [np.empty(0, dtype=np.intp)]
         for row in self.members:
             count = len(row) if closed and len(row) > 2 else len(row) - 1
@@ -61,15 +61,15 @@ class Rows:
         return np.concatenate(firsts), np.concatenate(seconds)
 
     def partners(self, first: IntArray, second: IntArray, step: int) -> tuple[IntArray, IntArray, NDArray[np.bool_]]:
-        """For each image that has a row `step` (±1) further, those images of it that could meet it.
+        """For each image that has an adjacent row in direction `step`, the images of that row that may overlap it.
 
         Args:
-            first: of all ordered pairs of images that could meet, sorted by the first.
-            second: likewise.
+            first: first images of all ordered pairs that may overlap, sorted.
+            second: the second images of these pairs.
             step: +1 for the next row, -1 for the previous.
 
         Returns:
-            Images (k,), partners (k, m), and which partners are there (k, m); m ≥ 1.
+            Images (k,), their partners (k, m), and the mask (k, m) of entries that are not padding; m ≥ 1.
         """
         target = self.row_of + step
         images = np.nonzero((target >= 0) & (target < len(self.members)))[0]
@@ -86,8 +86,8 @@ class Rows:
         return images, partners, present
 
 
-def apart_by_mask(domain: Domain, pitch_deg: float, from_deg: float, to_deg: float) -> bool:
-    """Whether there is nothing to cover on the parallel of a row between two azimuths, clockwise."""
+def separated_by_mask(domain: Domain, pitch_deg: float, from_deg: float, to_deg: float) -> bool:
+    """Whether masks remove everything on a row's parallel between two azimuths (clockwise)."""
     row = int(np.searchsorted(domain.elevations_deg, pitch_deg, side="right")) - 1
     cells = domain.inside[min(max(row, 0), len(domain.inside) - 1)]
     start = (from_deg - domain.azimuths_deg[0]) % 360.0
@@ -99,7 +99,7 @@ def apart_by_mask(domain: Domain, pitch_deg: float, from_deg: float, to_deg: flo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Connection:
-    """What holds a graph together."""
+    """Connectivity of a graph: number of components and bridges."""
 
     parts: int
     bridges: tuple[tuple[int, int], ...]
@@ -111,20 +111,20 @@ class Connection:
 
     @property
     def two_edge_connected(self) -> bool:
-        """Whether that holds after the loss of any one edge."""
+        """Whether the graph stays connected after the removal of any one edge."""
         return self.connected and not self.bridges
 
 
 def connection(count: int, first: IntArray, second: IntArray) -> Connection:
-    """Parts and bridges of an undirected graph (Tarjan 1974), without recursion.
+    """Components and bridges of an undirected graph (Tarjan 1974), without recursion.
 
     Args:
         count: number of nodes.
-        first: (k,) one end of each edge; an edge may be given once, in either order.
+        first: (k,) one end of each edge; each edge is listed once, in either direction.
         second: (k,) its other end.
 
     Returns:
-        Number of connected parts, and the edges whose loss would add one, lower index first.
+        Number of connected components, and the bridges as pairs with the lower index first.
     """
     edge_ends = np.concatenate([first, second])
     order = np.argsort(edge_ends, kind="stable")

@@ -1,24 +1,24 @@
-"""The proof of coverage (C1): no direction of the domain is missed, however small the hole.
+"""The proof of coverage (C1): it detects every hole, of any size.
 
-Given are convex spherical polygons Kᵢ (the robust cores, see `robust_footprint`) and a domain D (see
-`panoexec.planning.geometry.domain`), closed, with finitely many connected parts.
+Given are convex spherical polygons Kᵢ (the robust cores, see `robust_footprint`) and a closed domain D (see
+`panoexec.planning.geometry.domain`) with finitely many connected components.
 
 **Theorem.** If (a) every point of every border ∂Kᵢ that lies in D is in the interior of some other Kⱼ, and (b) each
-connected part of D has at least one point in some Kᵢ, then D is covered by the union of the Kᵢ.
+connected component of D has at least one point in some Kᵢ, then D is covered by the union of the Kᵢ.
 
-*Proof.* C = D ∩ ∪Kᵢ is closed in D, a finite union of closed sets. It is open in D too: a point of C is in the
-interior of some Kᵢ, or on a border, and then by (a) in the interior of some Kⱼ; either way C contains a neighbourhood
-of it in D. So C is a union of connected parts of D, and by (b) of all of them. ∎
+*Proof.* C = D ∩ ∪Kᵢ is closed in D, as a finite union of closed sets. It is also open in D: a point of C is in the
+interior of some Kᵢ, or on a border, and then by (a) in the interior of some Kⱼ; in both cases C contains a
+neighbourhood of it in D. So C is a union of connected components of D, and by (b) it contains all of them. ∎
 
-So a question about a surface becomes one about arcs. An edge of Kᵢ is the arc of directions of (1 - s)·p + s·q,
-s in [0, 1]; each half-space of Kⱼ is linear in s, so Kⱼ holds one interval of it, found by divisions alone. The domain
-needs no cover in a few more intervals. The edge passes when the intervals leave no gap.
+So the question about a surface reduces to one about arcs. An edge of Kᵢ is the arc of directions of (1 - s)·p + s·q,
+s in [0, 1]; each half-space of Kⱼ is linear in s, so Kⱼ covers one interval of s, computed by divisions alone. The
+intervals outside the domain need no cover. The edge passes if all these intervals together cover [0, 1].
 
-**Bound.** "In the interior" is tested as "at least `MARGIN_RAD` = 1e-9 rad inside all edges", which is four orders of
-magnitude more than what rounding moves. So what passes is proven, and a true cover fails only where some direction
-lies less than 1e-9 rad (6e-8°) inside every core. In particular images that merely touch do not pass.
+**Error bound.** "In the interior" is tested as "at least `MARGIN_RAD` = 1e-9 rad inside all edges", four orders of
+magnitude above the rounding error. So a cover that passes is proven, and a true cover fails only if some direction is
+less than 1e-9 rad (6e-8°) inside every core. In particular, images that merely touch do not pass.
 
-Cost: each core meets only cores whose caps reach its own, found through a grid of cells: about n·log n in all.
+Cost: each core is compared only with cores whose caps overlap its own, found with a grid of cells: about O(n log n).
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from panoexec.planning.certificate.robust_footprint import Cores
 from panoexec.planning.geometry.domain import Domain
 
 MARGIN_RAD = 1e-9
-"""A direction counts as covered when it is this deep inside a core."""
+"""Depth inside a core from which a direction counts as covered."""
 
 _SLACK = 1e-12
-"""Gaps in the chord parameter up to this are rounding; far less than the margin."""
+"""Gaps in the chord parameter up to this size are rounding errors; it is far below the margin."""
 
 _DENSE = 300
 _AT_A_TIME = 1 << 21
@@ -45,13 +45,13 @@ _AT_A_TIME = 1 << 21
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gaps:
-    """Stretches of cores' borders in the domain that no other core holds.
+    """Arcs of the cores' borders in the domain that no other core covers.
 
     Attributes:
-        images: (k,) whose border.
-        edges: (k,) which edge of it.
+        images: (k,) index of the core.
+        edges: (k,) index of its edge.
         starts: (k, 3) unit vectors; from start to end the core lies on the left, as seen from outside the sphere.
-        ends: (k, 3).
+        ends: (k, 3) unit vectors.
     """
 
     images: NDArray[np.intp]
@@ -64,14 +64,14 @@ class Gaps:
 
 
 def is_covered(cores: Cores, domain: Domain) -> bool:
-    """Whether the cores provably cover the domain (the module's theorem)."""
+    """Whether the cores provably cover the domain (theorem of the module docstring)."""
     if np.any(cores.depth(domain.cell_centres()) < MARGIN_RAD):
         return False
     return len(border_gaps(cores, domain)) == 0
 
 
 def border_gaps(cores: Cores, domain: Domain, margin_rad: float = MARGIN_RAD) -> Gaps:
-    """All stretches of borders in the domain that are not `margin_rad` inside another core: condition (a)."""
+    """All border arcs in the domain that are not `margin_rad` inside another core: violations of condition (a)."""
     first, second = neighbours(cores)
     begin = np.searchsorted(first, np.arange(len(cores) + 1))
     most = int(np.diff(begin).max(initial=0))
@@ -90,10 +90,10 @@ def border_gaps(cores: Cores, domain: Domain, margin_rad: float = MARGIN_RAD) ->
 
 
 def neighbours(cores: Cores) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """All ordered pairs of different cores that could meet, as their caps do; sorted by the first.
+    """All ordered pairs of different cores whose bounding caps overlap, sorted by the first.
 
-    Near-linear: cores are sorted into cubes as large as the farthest two centres that matter, and only cubes that touch
-    are compared.
+    Near-linear: cores are sorted into cubes whose edge is the largest relevant distance of two centres, and only cores
+    in the same or in adjacent cubes are compared.
     """
     some = np.nonzero(~cores.empty)[0]
     centres, radii = cores.centres[some], cores.radii[some]
@@ -117,7 +117,7 @@ def _all_pairs(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _pairs_by_cell(centres: FloatArray, size: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Ordered pairs of different points in the same or in touching cubes of edge `size`."""
+    """Ordered pairs of different points in the same or in adjacent cubes of edge `size`."""
     cell = np.floor((centres + 1.0) / size).astype(np.int64) + 1
     base = int(2.0 / size) + 4
     key = (cell[:, 0] * base + cell[:, 1]) * base + cell[:, 2]
@@ -127,7 +127,7 @@ def _pairs_by_cell(centres: FloatArray, size: float) -> tuple[NDArray[np.intp], 
     for shift_x in (-1, 0, 1):
         for shift_y in (-1, 0, 1):
             wanted = key + (shift_x * base + shift_y) * base
-            # three cubes one above the other are neighbours in the order, too
+            # three cubes along z have consecutive keys, so one range of the sorted keys holds them
             begin = np.searchsorted(in_order, wanted - 1, side="left")
             count = np.searchsorted(in_order, wanted + 1, side="right") - begin
             first = np.repeat(np.arange(len(key)), count)
@@ -142,14 +142,14 @@ def _pairs_by_cell(centres: FloatArray, size: float) -> tuple[NDArray[np.intp], 
 def _gaps_of(
     cores: Cores, domain: Domain, some: range, pairs: tuple[NDArray[np.intp], NDArray[np.intp]], margin_rad: float
 ) -> Gaps:
-    """The gaps of `some` images, given all their ordered pairs with neighbours."""
+    """The gaps of the images in `some`, given all ordered pairs with their neighbours."""
     first, second = pairs
     start, count = some.start, len(some)
     own = first - start
     counts = np.bincount(own, minlength=count)
     slot = np.arange(len(own)) - (np.cumsum(counts) - counts)[own]
     v = cores.vertices.shape[1]
-    low, high = _held(cores.vertices[first], cores.normals[second], margin_rad)
+    low, high = _covered_intervals(cores.vertices[first], cores.normals[second], margin_rad)
     lows = np.full((count, max(int(counts.max(initial=0)), 1), v), 2.0)
     highs = np.full(lows.shape, -1.0)
     lows[own, slot], highs[own, slot] = low, high
@@ -169,20 +169,20 @@ def _gaps_of(
     )
 
 
-def _held(vertices: FloatArray, normals: FloatArray, margin_rad: float) -> tuple[FloatArray, FloatArray]:
-    """The interval of each edge that lies deep enough in another core.
+def _covered_intervals(vertices: FloatArray, normals: FloatArray, margin_rad: float) -> tuple[FloatArray, FloatArray]:
+    """The interval of each edge that is deep enough inside another core.
 
     Args:
-        vertices: (p, v, 3) corners of the polygons whose edges are looked at.
-        normals: (p, w, 3) of the cores that may hold them.
-        margin_rad: how deep is enough.
+        vertices: (p, v, 3) corners of the polygons whose edges are tested.
+        normals: (p, w, 3) edge normals of the cores that may cover them.
+        margin_rad: required depth.
 
     Returns:
-        Limits (p, v) of the chord parameter; the lower above the upper where nothing is held.
+        Limits (p, v) of the chord parameter; lower > upper where nothing is covered.
     """
     at_start = vertices @ np.swapaxes(normals, 1, 2) - margin_rad
     at_end = np.roll(at_start, -1, axis=1)
-    # points of the chord are not longer than 1, so being at least the margin above a plane is more than asked for
+    # points of the chord have length ≤ 1, so a distance of at least the margin from a plane is sufficient
     span = at_start - at_end
     zero = at_start / np.where(span == 0, 1.0, span)
     starts_in, ends_in = at_start >= 0, at_end >= 0
@@ -192,7 +192,7 @@ def _held(vertices: FloatArray, normals: FloatArray, margin_rad: float) -> tuple
 
 
 def _uncovered(low: FloatArray, high: FloatArray) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
-    """The gaps that intervals (m, k) leave of [0, 1] in each row: row indices, lower and upper limits."""
+    """The parts of [0, 1] that the intervals (m, k) of a row leave uncovered: row indices, lower and upper limits."""
     nothing = low > high
     low, high = np.where(nothing, 0.0, low), np.where(nothing, 0.0, high)
     order = np.argsort(low, axis=1)

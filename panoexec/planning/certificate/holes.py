@@ -1,14 +1,14 @@
-"""Where coverage fails: the connected holes, each with a place inside it, its extent, its solid angle and its outline.
+"""Where coverage fails: the connected holes, each with a direction in it, its extent, its solid angle and its outline.
 
-A hole is bounded by the stretches of cores' borders that no other core holds (`coverage.border_gaps`) and by stretches
-of the domain's own border. Its solid angle follows from those pieces alone (Stokes): with z downwards and λ the
-azimuth, a region that lies to the left of its border has the area ∮ (1 - z) dλ, where the zenith, if uncovered, counts
-as a parallel of no length. An arc of a great circle contributes the signed area of its triangle with the nadir, a
-parallel (1 - z)·Δλ, a meridian nothing. However small or many the holes are, the uncovered solid angle is exact up to
-2e-7 rad times the length of the holes' borders: by so much all cores are shrunk first, so that none of them touch.
+A hole is bounded by the arcs of cores' borders that no other core covers (`coverage.border_gaps`) and by arcs of the
+domain's border. Its solid angle follows from these arcs alone (Stokes): with z down and λ the azimuth, a region to the
+left of its border has the area ∮ (1 - z) dλ, where the zenith, if uncovered, counts as a parallel of length 0. An arc
+of a great circle contributes the signed area of its triangle with the nadir, a parallel (1 - z)·Δλ, a meridian 0.
+Whatever the size and number of holes, the error of the uncovered solid angle is at most 2e-7 rad times the length of
+the holes' borders: all cores are first shrunk by that angle, so that none of them merely touch.
 
-Pieces belong to one hole when their ends meet, or when a ray from one into the hole ends on the other. The proof of
-coverage does not rest on this module; it only says where a proof failed.
+Arcs belong to the same hole if their ends meet, or if a ray from one into the hole ends on the other. The proof of
+coverage does not use this module; it only locates the failures.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ _STEP_DEG = 2.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HoleRegion:
-    """One connected part of the domain that no image is sure to cover.
+    """One connected part of the domain without guaranteed coverage.
 
     Attributes:
         hole: a direction in it and a bound of its angular diameter.
-        solid_angle_sr: its size.
-        outline: (k, 3) world unit vectors. A convex footprint (or core) that contains them all contains the hole, if it
-            is smaller than a hemisphere; they are not in order.
+        solid_angle_sr: its solid angle, steradians.
+        outline: (k, 3) world unit vectors, unordered. A convex footprint (or core) that contains them all contains the
+            hole, if the hole is smaller than a hemisphere.
     """
 
     hole: Hole
@@ -53,14 +53,14 @@ class HoleRegion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Uncovered:
-    """All that is not sure to be covered: the share of the domain's solid angle and the holes, largest first."""
+    """All parts without guaranteed coverage: fraction of the domain's solid angle, and holes, largest first."""
 
     fraction: float
     regions: tuple[HoleRegion, ...]
 
 
 def coverage_holes(camera: Camera, constraints: Constraints, rotations: ArrayLike) -> tuple[HoleRegion, ...]:
-    """The holes that images leave in the band, largest first; empty exactly when coverage is proven.
+    """The holes that images leave in the band, largest first; empty if and only if coverage is proven.
 
     Args:
         camera: the camera.
@@ -72,7 +72,7 @@ def coverage_holes(camera: Camera, constraints: Constraints, rotations: ArrayLik
 
 
 def uncovered(cores: Cores, domain: Domain) -> Uncovered:
-    """What the cores leave of the domain, by the same test as `coverage.is_covered`."""
+    """The parts of the domain that the cores do not cover, by the same test as `coverage.is_covered`."""
     if is_covered(cores, domain):
         return Uncovered(fraction=0.0, regions=())
     cores = _shrunk(cores)
@@ -81,7 +81,7 @@ def uncovered(cores: Cores, domain: Domain) -> Uncovered:
     middles, depths, hits = _rays(cores, domain, pieces, owner)
     for piece, other in hits:
         owner[owner == owner[other]] = owner[piece]
-    # an island in a hole bounds it from within: alone it has a negative area
+    # a covered island inside a hole is an inner border of it: by itself its area is negative
     areas = {label: pieces.areas[owner == label].sum() for label in np.unique(owner)}
     largest = max(areas, key=lambda label: areas[label])
     for label, area in areas.items():
@@ -92,7 +92,7 @@ def uncovered(cores: Cores, domain: Domain) -> Uncovered:
         for label in np.unique(owner)
     ]
     fraction = float(pieces.areas.sum()) / domain.solid_angle_sr
-    # images that only touch leave a hole without area; it is a hole all the same
+    # images that only touch leave a hole of area 0, which still counts as a hole
     fraction = min(max(fraction, float(np.finfo(np.float64).eps)), 1.0)
     return Uncovered(
         fraction=fraction, regions=tuple(sorted(regions, key=lambda r: (-r.hole.size_deg, -r.solid_angle_sr)))
@@ -101,16 +101,16 @@ def uncovered(cores: Cores, domain: Domain) -> Uncovered:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Pieces:
-    """Pieces of the border of what is uncovered.
+    """Arcs of the border of the uncovered region.
 
     Attributes:
-        starts, ends: (p, 3).
-        middles: (p, 3).
-        inward: (p, 3) unit vectors at the middles, at right angles to the piece, into the hole.
-        areas: (p,) contributions to the solid angle.
+        starts, ends: (p, 3) unit vectors.
+        middles: (p, 3) unit vectors.
+        inward: (p, 3) unit vectors at the middles, perpendicular to the arc, into the hole.
+        areas: (p,) contributions to the solid angle, steradians.
         lengths: (p,) radians.
-        images: (p,) whose border it is; -1 for the domain's.
-        parallels: (p, 3) elevation, from and to azimuth, degrees; NaN for other pieces.
+        images: (p,) index of the core whose border it is; -1 for the domain's border.
+        parallels: (p, 3) elevation, from and to azimuth, degrees; NaN for other arcs.
     """
 
     starts: FloatArray
@@ -130,16 +130,16 @@ class _Pieces:
 
 
 def _shrunk(cores: Cores) -> Cores:
-    """Cores with each edge plane turned inwards by one to two times `_SHRINK_RAD`, differently for each core.
+    """Cores with each edge plane rotated inwards by one to two times `_SHRINK_RAD`, by a different angle for each core.
 
-    So no two borders coincide, and where images merely touch there is a hole with an inside. As that is far more than
-    the margin of the proof, whatever fails it leaves a hole here, too.
+    So no two borders coincide, and where images merely touch there is a hole with an interior. The angle is far larger
+    than the margin of the proof, so every failure of the proof leaves a hole here, too.
     """
     cores = cores.select(~cores.empty)
     amount = _SHRINK_RAD * (1 + (np.arange(len(cores)) * 0.6180339887498949) % 1.0)
     normals = cores.normals - amount[:, None, None] * cores.centres[:, None]
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
-    # corner k is where edges k - 1 and k meet; before the first comes the last that is no padding
+    # corner k is the intersection of edges k - 1 and k; before the first edge comes the last one that is not padding
     v = normals.shape[1]
     last = cores.is_edge.sum(axis=1) - 1
     before = np.where(np.arange(v) == 0, last[:, None], np.arange(v) - 1)
@@ -178,7 +178,7 @@ def _triangles_with_nadir(starts: FloatArray, ends: FloatArray) -> FloatArray:
 
 
 def _border_pieces(cores: Cores, border: Border) -> _Pieces | None:
-    """The uncovered stretches of a piece of the domain's border."""
+    """The uncovered arcs of a segment of the domain's border."""
     at = border.at_deg
     if border.is_parallel:
         if at <= -90.0:
@@ -198,7 +198,7 @@ def _border_pieces(cores: Cores, border: Border) -> _Pieces | None:
     limits = np.concatenate([[border.from_deg], cuts, [border.to_deg]])
     middles = (limits[:-1] + limits[1:]) / 2
     bare = near.depth(_at(border, at, middles)) < 0
-    # neighbouring bare stretches are one, cut again so that each is short
+    # merge adjacent uncovered intervals, then split them so that each is short
     begins = limits[:-1][bare & ~np.concatenate([[False], bare[:-1]])]
     stops = limits[1:][bare & ~np.concatenate([bare[1:], [False]])]
     if not len(begins):
@@ -216,7 +216,7 @@ def _as_pieces(border: Border, at: float, lower: FloatArray, upper: FloatArray) 
     n = len(lower)
     if border.is_parallel:
         inward = direction(np.full(n, at + 90.0 * border.inner), middle)
-        # with the hole below, azimuth runs with the hole on its left
+        # azimuth increases along the border if the hole is below, as the hole is on the left
         areas = -border.inner * (1 + math.sin(math.radians(at))) * np.radians(upper - lower)
         parallels = np.stack([np.full(n, at), lower, upper], axis=1)
     else:
@@ -241,7 +241,7 @@ def _at(border: Border, at: float, along: FloatArray) -> FloatArray:
 
 
 def _cuts_of_parallel(cores: Cores, elevation_deg: float) -> FloatArray:
-    """Azimuths, degrees, where edge planes cut a parallel."""
+    """Azimuths, degrees, at which edge planes intersect a parallel."""
     normals = cores.normals.reshape(-1, 3)
     elevation = math.radians(elevation_deg)
     reach = math.cos(elevation) * np.hypot(normals[:, 0], normals[:, 1])
@@ -253,7 +253,7 @@ def _cuts_of_parallel(cores: Cores, elevation_deg: float) -> FloatArray:
 
 
 def _cuts_of_meridian(cores: Cores, azimuth: float) -> FloatArray:
-    """Elevations, degrees, where edge planes cut a meridian (radians)."""
+    """Elevations, degrees, at which edge planes intersect a meridian (azimuth in radians)."""
     normals = cores.normals.reshape(-1, 3)
     level = normals[:, 0] * math.cos(azimuth) + normals[:, 1] * math.sin(azimuth)
     elevation = np.degrees(np.arctan2(level, normals[:, 2]))
@@ -261,7 +261,7 @@ def _cuts_of_meridian(cores: Cores, azimuth: float) -> FloatArray:
 
 
 def _joined(pieces: _Pieces) -> NDArray[np.intp]:
-    """Labels (p,) of pieces, equal where a chain of common ends joins them."""
+    """Labels (p,) of arcs, equal for arcs connected by a chain of common ends."""
     count = len(pieces)
     ends = np.concatenate([pieces.starts, pieces.ends])
     along = ends @ np.array([0.4863, -0.3177, 0.8140])
@@ -288,16 +288,16 @@ def _joined(pieces: _Pieces) -> NDArray[np.intp]:
 def _rays(
     cores: Cores, domain: Domain, pieces: _Pieces, owner: NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray, list[tuple[int, int]]]:
-    """Cross the holes from pieces of their borders.
+    """Shoot rays across the holes from arcs of their borders.
 
     Returns:
-        For each piece, the middle of its ray (p, 3) and the ray's length in radians (p,), 0 where none was shot; and
-        pairs of pieces that lie at the two ends of a ray.
+        For each arc, the middle of its ray (p, 3) and the ray's length in radians (p,), 0 where none was shot; and the
+        pairs of arcs at the two ends of a ray.
     """
     middles, depths = pieces.middles.copy(), np.zeros(len(pieces))
     by_length = np.argsort(-pieces.lengths, kind="stable")
     _, first = np.unique(owner[by_length], return_index=True)
-    # the longest piece of each chain first, then the longest of all
+    # the longest arc of each chain first, then the others by length
     chosen = list(dict.fromkeys([*by_length[np.sort(first)].tolist(), *by_length.tolist()]))[:_MOST_RAYS]
     hits = []
     for piece in chosen:
@@ -317,7 +317,7 @@ def _rays(
 
 
 def _first_core(cores: Cores, start: FloatArray, ahead: FloatArray) -> tuple[float, int]:
-    """How far, in radians, a ray runs until it enters a core, and which; at most `_RAY_RAD`."""
+    """Length in radians at which a ray enters a core, at most `_RAY_RAD`, and the core's index."""
     if not len(cores):
         return _RAY_RAD, -1
     a, b = cores.normals @ start, cores.normals @ ahead
@@ -331,7 +331,7 @@ def _first_core(cores: Cores, start: FloatArray, ahead: FloatArray) -> tuple[flo
 
 
 def _leaves(domain: Domain, start: FloatArray, ahead: FloatArray) -> float:
-    """How far, in radians, a ray runs in the domain; at most `_RAY_RAD`."""
+    """Length in radians at which a ray leaves the domain, at most `_RAY_RAD`."""
     end = math.cos(_RAY_RAD) * start + math.sin(_RAY_RAD) * ahead
     low, high = domain.outside_intervals(start[None], end[None])
     some = low[low < high]
@@ -343,7 +343,7 @@ def _leaves(domain: Domain, start: FloatArray, ahead: FloatArray) -> float:
 
 
 def _piece_at(pieces: _Pieces, point: FloatArray, core: int) -> int | None:
-    """The piece of a core's border, or with -1 of a parallel of the domain's border, that a point lies on."""
+    """The arc of a core's border (or with -1 of a parallel of the domain's border) that a point lies on."""
     if core >= 0:
         detour = _angles(pieces.starts, point) + _angles(pieces.ends, point) - pieces.lengths
         on = (pieces.images == core) & (detour < _MEET_RAD)
@@ -356,7 +356,7 @@ def _piece_at(pieces: _Pieces, point: FloatArray, core: int) -> int | None:
 
 
 def _angles(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Angles (p,) in radians between unit vectors (p, 3), which may be very close."""
+    """Angles (p,) in radians between unit vectors (p, 3), accurate for small angles too."""
     return np.asarray(2 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=1) / 2, 0.0, 1.0)))
 
 
@@ -374,21 +374,21 @@ def _region(pieces: _Pieces, middles: FloatArray, depths: FloatArray) -> HoleReg
 
 
 def _size_deg(outline: FloatArray, solid_angle_sr: float) -> float:
-    """A bound of the angular diameter of a hole, from points whose convex hull contains it if it is not too large."""
+    """Bound of a hole's angular diameter, degrees, from points whose convex hull contains it if it is not too large."""
     centre = outline.mean(axis=0)
     norm = float(np.linalg.norm(centre))
     radius = float(_angles(outline, centre / norm).max()) if norm > 1e-9 else math.pi
-    # what lies beyond the cap about the outline is wholly in the hole or not at all; if it is, so is most of the sphere
+    # the region beyond the cap about the outline is wholly in the hole or wholly outside; inside means a huge hole
     if radius >= math.pi / 2 or solid_angle_sr > 2 * math.pi:
         return 180.0
     if radius > math.pi / 4 or len(outline) > _MOST_POINTS:
         return min(2 * math.degrees(radius), 180.0)
-    # in so small a cap a convex set is as wide as its farthest corners
+    # in such a small cap the diameter of a convex set is the distance of its farthest corners
     return math.degrees(max(float(_angles(outline, point).max()) for point in outline))
 
 
 def _outline(pieces: _Pieces) -> FloatArray:
-    """Ends of all pieces, and for parallels the points where the great circles that touch them at their ends meet."""
+    """Ends of all arcs, and for parallels the intersections of the great circles tangent to them at their ends."""
     at, lower, upper = np.moveaxis(pieces.parallels[~np.isnan(pieces.parallels[:, 0])], -1, 0)
     half = np.radians(upper - lower) / 2
     apex = np.degrees(np.arctan(np.tan(np.radians(at)) / np.cos(half)))

@@ -1,23 +1,23 @@
-"""Robust cores: the part of an image that is in the picture whatever the pointing error within the tolerance.
+"""Robust cores: the part of an image that is in the picture for every pointing error within the tolerance.
 
-An image asked for at yaw ψ, roll ρ, pitch θ is taken at R(e) = Rz(ψ + e_yaw) · Rx(ρ + e_roll) · Ry(θ + e_pitch), the
-one error model of `planning.geometry.pose_error`, with each |e| within its tolerance. Its *core* is what it then sees
-for certain, K = { d : d · R(e) nₖ ≥ 0 for every e in the box and each edge normal nₖ }.
+An image commanded to yaw ψ, roll ρ, pitch θ is taken at R(e) = Rz(ψ + e_yaw) · Rx(ρ + e_roll) · Ry(θ + e_pitch), the
+error model of `planning.geometry.pose_error`, with each |e| within its tolerance. Its *core* is the set of directions
+that it sees for every error, K = { d : d · R(e) nₖ ≥ 0 for every e in the box and each edge normal nₖ }.
 
-**Errors that are independent from image to image** make coverage a question about cores alone: the union of the images
-covers a direction d for *every* combination of errors exactly when d is in some core. For if d is in no core, each
-image has an error of its own that loses d, and they may all happen at once; the converse is plain.
+**Independent errors.** If the errors of the images are independent, coverage depends on the cores alone: the union of
+the images covers a direction d for *every* combination of errors exactly when d is in some core. For if d is in no
+core, each image has an error that loses d, and all these errors can occur together; the converse is immediate.
 
-**A convex polygon inside K.** As the inequality is linear in the matrix, it holds for all R(e) as soon as it holds for
-matrices whose convex hull contains them all. A rotation about one axis through [φ - t, φ + t] lies in the hull of its
-two extreme rotations and of the *apexes* of m equal parts: the rotation by each part's middle angle with the plane
-across the axis stretched by 1/cos(t/m). (Tangents at the ends of a part meet at its apex, so a part lies in the
+**A convex polygon inside K.** The inequality is linear in the matrix, so it holds for all R(e) if it holds for matrices
+whose convex hull contains them all. The rotations about one axis through [φ - t, φ + t] lie in the hull of the two
+extreme rotations and of the *apexes* of m equal parts: the rotation by each part's middle angle with the plane
+perpendicular to the axis scaled by 1/cos(t/m). (Tangents at the ends of a part meet at its apex, so a part lies in the
 triangle of its ends and its apex; the point between two parts is the middle of their apexes, so only the outer ends are
 needed.) The product of the hulls of three factors lies in the hull of the products, as a product is linear in each
-factor. So K contains the convex polygon that the half-spaces of all products cut out: an inner bound whose loss is at
-most (t/m)²/2 radians for an axis, 0.004° for a yaw tolerance of 0.667°, and exact for a tolerance of 0.
+factor. So K contains the convex polygon that is the intersection of the half-spaces of all products: an inner bound
+whose loss is at most (t/m)²/2 radians for an axis, 0.004° for a yaw tolerance of 0.667°, and 0 for a tolerance of 0.
 
-Corners that stick out by less than 1e-5 rad are then cut off, which only makes the polygon smaller.
+Corners that protrude by less than 1e-5 rad are then cut off, which only makes the polygon smaller.
 """
 
 from __future__ import annotations
@@ -36,22 +36,22 @@ from panoexec.planning.geometry.overlap import clip
 from panoexec.planning.model import Tolerance
 
 _PART_DEG = 0.7
-"""Widest half part of an axis's error range before it gets another apex."""
+"""Largest half part of an axis's error range; a larger range is split into more parts."""
 
 _MOST_PARTS = 3
 
 _THIN = 1e-5
-"""Corners that stick out less than this, in the image plane (so at most as many radians), are cut off."""
+"""Corners that protrude less than this in the image plane (so at most as many radians) are cut off."""
 
 _SAME_DEG = 1e-9
-"""Attitudes that agree to this share a core (1.7e-11 rad, far below the certificate's margin)."""
+"""Attitudes that agree to this angle share a core (1.7e-11 rad, far below the certificate's margin)."""
 
 
 _AT_A_TIME = 1 << 20
-"""Pairs of a direction and a core looked at together: bounds the memory."""
+"""Pairs of a direction and a core processed at a time: limits the memory."""
 
 _REMEMBERED = 64
-"""Up to so many different attitudes each core is looked up among those computed before."""
+"""Up to this number of different attitudes, cores are taken from a cache."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,12 +61,12 @@ class Cores:
     Attributes:
         vertices: (n, v, 3) unit vectors, clockwise as a viewer of the image sees them; a polygon with fewer than v
             corners repeats its first one at the end. An empty core has all its corners at the boresight.
-        normals: (n, v, 3) unit inward normals of the planes through corner k and k + 1 (cyclic). In the padding they
-            repeat one of the polygon's own, so the half-spaces may be used without looking at the padding.
-        is_edge: (n, v) whether corner k and k + 1 span an edge; False in the padding and in empty cores.
+        normals: (n, v, 3) unit inward normals of the planes through corners k and k + 1 (cyclic). The padding repeats
+            one of the polygon's own normals, so all half-spaces may be used without checking for padding.
+        is_edge: (n, v) whether corners k and k + 1 span an edge; False in the padding and in empty cores.
         centres: (n, 3) boresights.
         radii: (n,) angle from the boresight to the farthest corner, radians; 0 where empty.
-        empty: (n,) whether nothing is sure to be seen.
+        empty: (n,) whether the core is empty: no direction is seen for every error.
     """
 
     vertices: FloatArray
@@ -91,13 +91,13 @@ class Cores:
         )
 
     def depth(self, directions: ArrayLike) -> FloatArray:
-        """How deep each direction lies in the core that holds it best.
+        """Depth of each direction in the core that contains it most deeply.
 
         Args:
             directions: (m, 3) world unit vectors.
 
         Returns:
-            (m,) sine of the angle to that core's nearest edge plane: ≥ 0 covered, negative not; -1 far from all cores.
+            (m,) sine of the angle to that core's nearest edge plane: ≥ 0 covered, < 0 not; -1 far from all cores.
         """
         points = np.asarray(directions, dtype=np.float64)
         best = np.full(len(points), -1.0)
@@ -116,11 +116,11 @@ def robust_cores(camera: Camera, rotations: ArrayLike, tolerance: Tolerance) -> 
 
     Args:
         camera: the camera.
-        rotations: camera-to-world rotations (n, 3, 3), asked for or measured, of any roll.
-        tolerance: errors of each axis about them.
+        rotations: camera-to-world rotations (n, 3, 3), commanded or measured, of any roll.
+        tolerance: largest error of each axis about these attitudes.
 
     Returns:
-        The cores; see the module's text for what they guarantee.
+        The cores; the module docstring states their guarantee.
     """
     to_world = np.asarray(rotations, dtype=np.float64).reshape(-1, 3, 3)
     n = len(to_world)
@@ -143,7 +143,7 @@ def robust_cores(camera: Camera, rotations: ArrayLike, tolerance: Tolerance) -> 
 
 @lru_cache(maxsize=4096)
 def _core_polygon(camera: Camera, pitch_deg: float, roll_deg: float, tolerance: Tolerance) -> FloatArray:
-    """One core in its image plane, (v, 2); a search asks for the same rows again and again."""
+    """One core in its image plane, (v, 2); cached, as the search needs the same rows repeatedly."""
     polygons, counts = _core_polygons(camera, np.array([pitch_deg]), np.array([roll_deg]), tolerance)
     polygon = polygons[0, : counts[0]].copy()
     polygon.setflags(write=False)
@@ -168,7 +168,7 @@ def _core_polygons(
 
 
 def core_half_planes(camera: Camera, pitch_deg: FloatArray, roll_deg: FloatArray, tolerance: Tolerance) -> FloatArray:
-    """The half-planes (u, k, 3) that cut the inner bounds of cores out of their image planes (see `overlap`)."""
+    """The half-planes (u, k, 3) of the image planes whose intersection bounds the cores from inside (see `overlap`)."""
     nominal = rotation(0.0, pitch_deg, roll_deg)
     hull = _axis_hull(2, np.zeros(1), tolerance.yaw_deg)[:, :, None, None]
     hull = hull @ _axis_hull(0, roll_deg, tolerance.roll_deg)[:, None, :, None]
@@ -199,10 +199,10 @@ def _turn(axis: int, angle_deg: FloatArray) -> FloatArray:
 
 
 def _thinned(polygons: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Polygons (u, v, 2) without corners that hardly stick out, and their corner counts (u,), 0 for an empty one."""
+    """Polygons (u, v, 2) without corners that hardly protrude, and their corner counts (u,), 0 for an empty one."""
     u, v = polygons.shape[:2]
     following = polygons[:, np.arange(1 - v, 1)]
-    # the padding repeats the first corner, as may rounding in the clipping: keep the first of equal neighbours
+    # padding, and rounding in the clipping, may repeat corners: keep the first of equal neighbours
     keep = np.any(polygons != following, axis=2) & ~np.isnan(polygons[:, :, 0])
     while True:
         order = np.argsort(~keep, axis=1, kind="stable")

@@ -1,16 +1,18 @@
 """The verdict on a plan: certified means C1 to C4 of docs/contract.md, for every pointing error.
 
-* **C1, coverage.** Every direction of the band, less its masks, is in an image whatever the errors of all images:
-  `robust_footprint` and `coverage` hold the proof, `holes` says where it fails.
+* **C1, coverage.** Every direction of the band, minus its masks, is in an image for every combination of errors:
+  `robust_footprint` and `coverage` contain the proof, `holes` locates failures.
 * **C2, neighbours in a row** see at least `overlap_h` of each other, both ways; on a full circle the last and the first
-  of a row are neighbours. Two images that do not meet are none where a mask leaves nothing to cover between them.
-* **C3, next rows.** Each image shares at least `overlap_v` of its area with the union of the next row, above and below
-  where there is one. Rows are those of the shots' row numbers; a cap of one to three images about a pole is a row too.
-* **C4, the graph**: see `adjacency`, where the case of one and two images is discussed.
+  image of a row are neighbours. Two images that do not overlap are not neighbours if masks cover everything between
+  them.
+* **C3, adjacent rows.** Each image shares at least `overlap_v` of its area with the union of the row above and of the
+  row below, where there is one. Rows are given by the shots' row numbers; a cap of one to three images about a pole is
+  a row too.
+* **C4, the graph**: see `adjacency`, which also discusses plans of one and two images.
 
 Overlaps are exact at the planned poses (`panoexec.planning.geometry.overlap`) and bounded from below over all errors
-(`worst_overlap`). With the guarantee `coverage` C2 and C3 hold at the planned poses, with `all` for
-every combination of errors. An overlap that misses its threshold by 1e-9 is accepted, a hole of any size is not.
+(`worst_overlap`). With the guarantee `coverage` C2 and C3 hold at the planned poses, with `all` for every combination
+of errors. An overlap that misses its threshold by 1e-9 is accepted; a hole is not, whatever its size.
 """
 
 from __future__ import annotations
@@ -23,13 +25,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from panoexec.angles import FloatArray, wrap_180, yaw_pitch_roll
 from panoexec.optics import Camera
-from panoexec.planning.certificate.adjacency import MUTUAL_OVERLAP, Connection, Rows, apart_by_mask, connection
+from panoexec.planning.certificate.adjacency import MUTUAL_OVERLAP, Connection, Rows, connection, separated_by_mask
 from panoexec.planning.certificate.coverage import is_covered, neighbours
 from panoexec.planning.certificate.holes import Uncovered, uncovered
 from panoexec.planning.certificate.robust_footprint import robust_cores
 from panoexec.planning.certificate.worst_overlap import (
     ErrorCorners,
-    surely_overlap,
+    overlaps_at_least,
     worst_pair_overlaps,
     worst_union_overlaps,
 )
@@ -38,13 +40,13 @@ from panoexec.planning.geometry.overlap import pairwise_overlap, union_overlap
 from panoexec.planning.model import NO_TOLERANCE, Certificate, Constraints, Plan
 
 THRESHOLD_SLACK = 1e-9
-"""An overlap may miss its threshold by this much, which is rounding."""
+"""Tolerance of the threshold comparison, for rounding errors."""
 
 IntArray = NDArray[np.intp]
 
 
 def certify(plan: Plan) -> Certificate:
-    """The certificate of a plan's shots for its camera and constraints; `Shot.index` names the images."""
+    """Certify the shots of a plan for its camera and constraints; images are identified by `Shot.index`."""
     certificate = certify_poses(plan.camera, plan.constraints, plan.rotations(), [shot.row for shot in plan.shots])
     names = [shot.index for shot in plan.shots]
     if names == list(range(len(names))):
@@ -61,19 +63,19 @@ def certify(plan: Plan) -> Certificate:
 def certify_poses(
     camera: Camera, constraints: Constraints, rotations: ArrayLike, rows: Sequence[int], *, explain: bool = True
 ) -> Certificate:
-    """The certificate of images at any attitudes, planned or measured, of any roll.
+    """Certify images at any attitudes, planned or measured, of any roll.
 
     Args:
         camera: the camera.
-        constraints: thresholds, band, masks, guarantee, and the tolerance about these attitudes (zero, or the
-            measurement's uncertainty, where they were measured).
+        constraints: thresholds, band, masks, guarantee, and the tolerance about these attitudes (for measured
+            attitudes zero, or the uncertainty of the measurement).
         rotations: camera-to-world rotations (n, 3, 3).
-        rows: (n,) row number of each image; the next row is the one with the next number that occurs.
-        explain: where coverage fails, find the holes and their solid angle; otherwise `uncovered_fraction` is 1.0 there
-            and `holes` empty, which is faster.
+        rows: (n,) row number of each image; adjacent rows are those with consecutive numbers among the ones that occur.
+        explain: where coverage fails, find the holes and their solid angle; otherwise `uncovered_fraction` is 1.0 and
+            `holes` empty in that case, which is faster.
 
     Returns:
-        The certificate; images are named by their position.
+        The certificate; images are identified by their position.
     """
     poses = np.asarray(rotations, dtype=np.float64).reshape(-1, 3, 3)
     domain = Domain.of(constraints.band, constraints.masks)
@@ -104,8 +106,8 @@ def certify_poses(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Least:
-    """The least overlaps of one kind, and the images that have the least one that counts."""
+class _LeastOverlap:
+    """The smallest overlaps of one kind, and the images with the smallest overlap that the guarantee applies to."""
 
     planned: float | None = None
     worst: float | None = None
@@ -113,7 +115,7 @@ class _Least:
 
 
 class _Overlaps:
-    """C2, C3 and C4 of one set of images, on the pairs that could meet at all."""
+    """C2, C3 and C4 of a set of images, computed on the pairs that may overlap."""
 
     def __init__(
         self, camera: Camera, constraints: Constraints, poses: FloatArray, rows: Sequence[int], domain: Domain
@@ -129,7 +131,7 @@ class _Overlaps:
         self._corners = ErrorCorners.of(camera, poses, constraints.tolerance)
         self._first, self._second = neighbours(robust_cores(camera, poses, NO_TOLERANCE))
 
-    def in_row(self) -> _Least:
+    def in_row(self) -> _LeastOverlap:
         """C2: both ways for each pair of neighbours in a row."""
         first, second = self._rows.neighbours(self._constraints.band.is_full_circle)
         a, b = np.concatenate([first, second]), np.concatenate([second, first])
@@ -138,12 +140,14 @@ class _Overlaps:
             apart = (planned == 0) & np.tile(self._apart(first, second), 2)
             a, b, planned, worst = a[~apart], b[~apart], planned[~apart], worst[~apart]
         if not len(a):
-            return _Least()
+            return _LeastOverlap()
         least = int(np.argmin(worst if self._constraints.guarantee == "all" else planned))
-        return _Least(planned=float(planned.min()), worst=float(worst.min()), images=(int(a[least]), int(b[least])))
+        return _LeastOverlap(
+            planned=float(planned.min()), worst=float(worst.min()), images=(int(a[least]), int(b[least]))
+        )
 
-    def between_rows(self) -> _Least:
-        """C3: each image with the unions of the rows above and below."""
+    def between_rows(self) -> _LeastOverlap:
+        """C3: each image with the union of the row above and of the row below."""
         planned, worst, images = [], [], []
         for step in (1, -1):
             own, partners, present = self._rows.partners(self._first, self._second, step)
@@ -157,13 +161,15 @@ class _Overlaps:
             )
             images.append(own)
         if not images:
-            return _Least()
+            return _LeastOverlap()
         all_planned, all_worst, image = np.concatenate(planned), np.concatenate(worst), np.concatenate(images)
         least = int(np.argmin(all_worst if self._constraints.guarantee == "all" else all_planned))
-        return _Least(planned=float(all_planned.min()), worst=float(all_worst.min()), images=(int(image[least]),))
+        return _LeastOverlap(
+            planned=float(all_planned.min()), worst=float(all_worst.min()), images=(int(image[least]),)
+        )
 
     def graph(self) -> Connection:
-        """C4: what the pairs with at least 5 % mutual overlap, whatever the errors, hold together."""
+        """C4: the graph of the pairs with at least 5 % mutual overlap for every error."""
         once = self._first < self._second
         a, b = self._first[once], self._second[once]
         both = np.concatenate([a, b]), np.concatenate([b, a])
@@ -173,9 +179,9 @@ class _Overlaps:
         if self._constraints.tolerance.is_zero:
             return connection(len(self._poses), a, b)
         ways = np.concatenate([a, b]), np.concatenate([b, a])
-        sure = np.asarray(surely_overlap(self._corners, *ways, MUTUAL_OVERLAP).reshape(2, -1).all(axis=0))
+        sure = np.asarray(overlaps_at_least(self._corners, *ways, MUTUAL_OVERLAP).reshape(2, -1).all(axis=0))
         quick = connection(len(self._poses), a[sure], b[sure])
-        if quick.two_edge_connected:  # more edges would not change that
+        if quick.two_edge_connected:  # additional edges would not change that
             return quick
         unsure = np.nonzero(~sure)[0]
         ways = np.concatenate([a[unsure], b[unsure]]), np.concatenate([b[unsure], a[unsure]])
@@ -184,7 +190,7 @@ class _Overlaps:
         return connection(len(self._poses), a[sure], b[sure])
 
     def _pair_overlaps(self, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Planned and worst overlaps; pairs of the same attitudes and yaw between them have the same."""
+        """Planned and worst overlaps; pairs with equal attitudes and equal yaw difference are computed once."""
         yaw, pitch, roll = self._angles
         marks = np.stack([pitch[a], roll[a], pitch[b], roll[b], (yaw[b] - yaw[a]) % 360.0], axis=1)
         _, first, which = np.unique(np.round(marks, 9), axis=0, return_index=True, return_inverse=True)
@@ -198,20 +204,20 @@ class _Overlaps:
         yaw, pitch, _ = self._angles
         return np.array(
             [
-                apart_by_mask(self._domain, (pitch[i] + pitch[j]) / 2, *self._between(yaw[i], yaw[j], pitch[i]))
+                separated_by_mask(self._domain, (pitch[i] + pitch[j]) / 2, *self._between(yaw[i], yaw[j], pitch[i]))
                 for i, j in zip(first.tolist(), second.tolist(), strict=True)
             ]
         )
 
     def _between(self, from_deg: float, to_deg: float, pitch_deg: float) -> tuple[float, float]:
-        """The azimuths between the facing edges of two images of a row."""
+        """The azimuths between the facing edges of two images of a row, degrees."""
         half = _half_azimuth_deg(self._camera, pitch_deg)
         width = (to_deg - from_deg) % 360.0
         return from_deg + min(half, width / 2), from_deg + max(width - half, width / 2)
 
 
 def _half_azimuth_deg(camera: Camera, pitch_deg: float) -> float:
-    """Half the azimuths that an image takes on the parallel of its boresight; 180 about a pole."""
+    """Half the azimuth extent of an image on the parallel of its boresight, degrees; 180 about a pole."""
     # the right edge: w·(cos²p·cos λ + sin²p) = cos p·sin λ
     p = np.radians(pitch_deg)
     w, cos_p = camera.half_width, float(np.cos(p))
@@ -221,39 +227,41 @@ def _half_azimuth_deg(camera: Camera, pitch_deg: float) -> float:
 
 
 def _failures(
-    constraints: Constraints, missing: Uncovered, in_row: _Least, between_rows: _Least, graph: Connection
+    constraints: Constraints, missing: Uncovered, in_row: _LeastOverlap, between_rows: _LeastOverlap, graph: Connection
 ) -> list[str]:
-    """One line for each condition that fails: what, where, by how much."""
+    """One line for each condition that fails: condition, place, amount."""
     lines = []
     if missing.fraction > 0:
         lines.append(_coverage_failure(missing))
     for name, least, threshold, whom in (
         ("C2: neighbours in a row", in_row, constraints.overlap_h, "images {} and {}"),
-        ("C3: an image and the next row", between_rows, constraints.overlap_v, "image {}"),
+        ("C3: an image and the adjacent row", between_rows, constraints.overlap_v, "image {}"),
     ):
         value = least.worst if constraints.guarantee == "all" else least.planned
         if least.images is not None and value is not None and value < threshold - THRESHOLD_SLACK:
             when = "with the worst pointing errors" if constraints.guarantee == "all" else "at the planned poses"
             lines.append(
                 f"{name} overlap {value:.2%} {when} ({whom.format(*least.images)}), "
-                f"{threshold - value:.2%} below the {threshold:.2%} asked for"
+                f"{threshold - value:.2%} below the required {threshold:.2%}"
             )
     if not graph.connected:
-        lines.append(f"C4: images that surely share {MUTUAL_OVERLAP:.0%} fall into {graph.parts} separate groups")
+        lines.append(
+            f"C4: the graph of images that always share {MUTUAL_OVERLAP:.0%} has {graph.parts} separate components"
+        )
     elif graph.bridges:
         a, b = graph.bridges[0]
         others = f", and {len(graph.bridges) - 1} more pairs" if len(graph.bridges) > 1 else ""
-        lines.append(f"C4: only the pair of images {a} and {b} holds two parts together{others}")
+        lines.append(f"C4: the graph depends on a single edge (bridge): images {a} and {b}{others}")
     return lines
 
 
 def _coverage_failure(missing: Uncovered) -> str:
     if not missing.regions:
-        return "C1: the images are not sure to cover the band"
+        return "C1: coverage of the band is not guaranteed"
     hole = missing.regions[0].hole
     count = f"{len(missing.regions)} holes, the largest" if len(missing.regions) > 1 else "a hole"
     azimuth = float(wrap_180(hole.azimuth_deg))
     return (
         f"C1: {count} {hole.size_deg:.3g}° across at elevation {hole.elevation_deg:.2f}°, azimuth {azimuth:.2f}°; "
-        f"{missing.fraction:.3g} of the band is not sure to be covered"
+        f"coverage is not guaranteed for {missing.fraction:.3g} of the band"
     )

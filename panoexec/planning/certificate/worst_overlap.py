@@ -1,22 +1,23 @@
-"""Lower bounds of overlaps over all pointing errors, of pairs and of an image with the union of others.
+"""Lower bounds of overlaps over all pointing errors: of pairs, and of an image with the union of others.
 
 Setting: in the image plane of A (directions d = (1, y, z), |d| ≤ L on the image) B's edge k is the half-plane
 mₖ(e)·d ≥ 0, mₖ(e) = R_A(e_A)ᵀ R_B(e_B) nₖ, where the errors e of both are in the box of the tolerance (six axes).
 
 **Corners.** Let m̃ₖ be the multilinear interpolation of mₖ between the corners of the box. About one axis mₖ moves on a
 circle of radius ≤ 1, so |mₖ - m̃ₖ| ≤ r with r the sum over the six axes of τ²/2. Hence a point with m̃ₖ(e)·d ≥ r·L is
-seen for sure; put p̃ₖ for m̃ₖ less r·L in its first component.
+certainly seen; let p̃ₖ be m̃ₖ with r·L subtracted from its first component.
 
 **Losses.** Let M be any part of A. B sees of it at least area(M) - Σₖ cutₖ(e), cutₖ = area of M where p̃ₖ(e)·d < 0.
 Take coordinates u along B's edge k, v across it, v ≥ 0 on M. There p̃ₖ·d = α + β·u + γ·v, with α, β, γ interpolated
-between the corners' values, too. If all corners have γ ≥ g > 0 then cutₖ ≤ ∫ max(0, -(α + β·u)/g - M's lower border at
-u) du. This bound is convex in (α, β), so its sum over k is largest at a corner of the box, and area(M) less the largest
-sum over the 64 corners bounds the overlap from below. With M = what B sees without error, the bound falls short of the
-true minimum only in the second order of the tolerances (r, and where two cuts meet) and by what B gains elsewhere.
+between the values at the corners as well. If all corners have γ ≥ g > 0 then cutₖ ≤ ∫ max(0, -(α + β·u)/g - M's lower
+border at u) du. This bound is convex in (α, β), so its sum over k is largest at a corner of the box, and area(M) minus
+the largest sum over the 64 corners is a lower bound of the overlap. With M = the part that B sees without error, the
+bound differs from the true minimum only in second order of the tolerances (r, and where two cuts meet) and by the area
+that B gains elsewhere.
 
-**Unions.** For several B with errors of their own take for each a part M_B of what it sees of A: those directions that
-are nearer to its boresight than to the others', so that no two parts share a point. Their areas add up; the worst
-errors of each B are chosen for each corner of A's errors, and then the worst corner of A's.
+**Unions.** For several B with independent errors take for each B a part M_B of what it sees of A: the directions that
+are nearer to its boresight than to the others', so that the parts are disjoint. Their areas add up; for each corner of
+A's error box the worst errors of each B are chosen, and then the worst corner of A.
 """
 
 from __future__ import annotations
@@ -39,13 +40,13 @@ _AT_A_TIME = 4096
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ErrorCorners:
-    """Images under the extreme errors of a tolerance.
+    """Images at the corners of the error box of a tolerance.
 
     Attributes:
         camera: the camera.
-        rotations: (n, 3, 3) without error.
-        extreme: (n, c, 3, 3) at the c corners of the box of errors; c is 1, 2, 4 or 8 as axes have a tolerance.
-        tolerance: the box.
+        rotations: (n, 3, 3) camera-to-world rotations without error.
+        extreme: (n, c, 3, 3) at the c corners of the error box; c = 2^k for k axes with a tolerance above 0.
+        tolerance: half the size of the box.
     """
 
     camera: Camera
@@ -55,7 +56,7 @@ class ErrorCorners:
 
     @staticmethod
     def of(camera: Camera, rotations: FloatArray, tolerance: Tolerance) -> ErrorCorners:
-        """The corners of images' error boxes."""
+        """The images at the corners of their error boxes."""
         yaw, pitch, roll = yaw_pitch_roll(rotations)
         taus = (tolerance.yaw_deg, tolerance.pitch_deg, tolerance.roll_deg)
         signs = np.array(list(itertools.product(*((-t, t) if t else (0.0,) for t in taus))))
@@ -64,20 +65,20 @@ class ErrorCorners:
 
     @property
     def remainder(self) -> float:
-        """The bound r·L of the module's text."""
+        """The bound r·L of the module docstring."""
         reach = math.sqrt(1 + self.camera.half_width**2 + self.camera.half_height**2)
         t = self.tolerance
         return reach * sum(math.radians(a) ** 2 for a in (t.pitch_deg, t.roll_deg, t.yaw_deg))
 
     @property
     def first_order(self) -> float:
-        """No edge normal moves farther than this, as seen from the other image."""
+        """Upper bound of the displacement of an edge normal, as seen from the other image."""
         t = self.tolerance
         return 2 * math.radians(t.pitch_deg + t.roll_deg + t.yaw_deg)
 
 
 def worst_pair_overlaps(corners: ErrorCorners, first: NDArray[np.intp], second: NDArray[np.intp]) -> FloatArray:
-    """Lower bounds (p,) of the fraction of each first image that the second one sees, whatever the errors."""
+    """Lower bounds (p,), over all errors, of the fraction of each first image that the second one sees."""
     whole = 4 * corners.camera.half_width * corners.camera.half_height
     out = np.empty(len(first))
     for start in range(0, len(first), _AT_A_TIME):
@@ -89,13 +90,13 @@ def worst_pair_overlaps(corners: ErrorCorners, first: NDArray[np.intp], second: 
     return np.clip(out, 0.0, 1.0)
 
 
-def surely_overlap(
+def overlaps_at_least(
     corners: ErrorCorners, first: NDArray[np.intp], second: NDArray[np.intp], least: float
 ) -> NDArray[np.bool_]:
-    """Which first images (p,) share more than a fraction with the second, by a bound that is rough but quick.
+    """Whether each first image (p,) shares at least a fraction with the second, by a fast but rough bound.
 
-    Each edge of B moves by no more than `ErrorCorners.first_order`, so it takes from what B sees of A at most a strip
-    of that width along the whole part.
+    Each edge of B moves by at most `ErrorCorners.first_order`, so it removes from the part of A that B sees at most a
+    strip of that width along the whole part.
     """
     planes = half_planes(corners.rotations[first], corners.rotations[second], corners.camera)
     seen = _clipped(corners.camera, planes)
@@ -113,13 +114,13 @@ def surely_overlap(
 def worst_union_overlaps(
     corners: ErrorCorners, images: NDArray[np.intp], partners: NDArray[np.intp], present: NDArray[np.bool_]
 ) -> FloatArray:
-    """Lower bounds of the fraction of images that at least one of their partners sees, whatever the errors.
+    """Lower bounds, over all errors, of the fraction of images that at least one of their partners sees.
 
     Args:
-        corners: of all images.
+        corners: error corners of all images.
         images: (k,) indices.
-        partners: (k, m) indices of the others.
-        present: (k, m), False where a partner is only padding.
+        partners: (k, m) indices of the partners.
+        present: (k, m), False where a partner is padding.
 
     Returns:
         (k,), in [0, 1].
@@ -131,7 +132,7 @@ def worst_union_overlaps(
     nearer = (boresights[b][:, None] - boresights[partners[row]]) @ corners.rotations[a]
     nearer = np.where(present[row][..., None], nearer, np.array([1.0, 0.0, 0.0]))
     parts = _clipped(corners.camera, np.concatenate([own, nearer], axis=1))
-    # the image itself in `nearer` is a zero row: 0 ≥ 0 keeps everything
+    # the entry of the image itself in `nearer` is a zero row: 0 ≥ 0 removes nothing
     losses = np.concatenate(
         [
             _losses(corners, a[s], b[s], own[s], parts[s]).max(axis=2, initial=0.0)
@@ -152,12 +153,12 @@ def _clipped(camera: Camera, planes: FloatArray) -> FloatArray:
 def _losses(
     corners: ErrorCorners, a: NDArray[np.intp], b: NDArray[np.intp], planes: FloatArray, parts: FloatArray
 ) -> FloatArray:
-    """Bounds (p, c, c) of what errors at each corner of A's and of B's box cut from parts (p, v, 2) of A."""
+    """Bounds (p, c, c) of the area that errors at each corner of A's and of B's box cut from parts (p, v, 2) of A."""
     c = corners.extreme.shape[1]
     losses = np.zeros((len(a), c, c))
     if corners.tolerance.is_zero or not len(a):
         return losses
-    # which edges can cut at all: those that some corner of M is nearer to than any error can move them
+    # only edges that are nearer to some corner of M than their largest displacement can cut
     y, z = parts[..., 0], parts[..., 1]
     inside = planes[:, :, :1] + planes[:, :, 1:2] * y[:, None] + planes[:, :, 2:] * z[:, None]
     reach = corners.first_order * np.sqrt(1 + y * y + z * z)
@@ -171,15 +172,15 @@ def _losses(
 
 
 def _cuts(parts: FloatArray, baselines: FloatArray, moved: FloatArray) -> FloatArray:
-    """Areas that half-planes cut from parts, bounded as the module's text says.
+    """Upper bounds of the areas that half-planes cut from parts; see the module docstring.
 
     Args:
-        parts: (q, v, 2), in the order in which `footprint.rectangle` runs.
+        parts: (q, v, 2), in the orientation of `footprint.rectangle`.
         baselines: (q, 3) the half-planes without error.
-        moved: (q, c, c, 3) those at the corners of the error boxes.
+        moved: (q, c, c, 3) the half-planes at the corners of the error boxes.
 
     Returns:
-        (q, c, c); infinite where an edge turns so far that the bound does not hold.
+        (q, c, c); infinite where an edge rotates too far for the bound to hold.
     """
     length = np.hypot(baselines[:, 1], baselines[:, 2])
     across = baselines[:, 1:] / np.maximum(length, 1e-300)[:, None]
@@ -193,7 +194,7 @@ def _cuts(parts: FloatArray, baselines: FloatArray, moved: FloatArray) -> FloatA
     scale = -1 / np.where(usable, least, 1.0)[:, None, None]
     alpha = (moved[..., 0] + lowest[:, None, None] * gamma) * scale
     beta = np.einsum("qabi,qi->qab", moved[..., 1:], along) * scale
-    # the lower border of a part runs with u, the upper one against it
+    # u increases along the lower border of a part and decreases along the upper one
     following = np.arange(1 - parts.shape[1], 1)
     width = u[:, following] - u
     q, side = np.nonzero(width > 0)

@@ -1,13 +1,13 @@
-"""What has to be covered: a band or sector of the sphere less its masks, as cells of a grid in elevation and azimuth.
+"""The domain to cover: a band or sector of the sphere minus its masks, as cells of a grid in elevation and azimuth.
 
-The limits of the band and of the masks cut the sphere into cells; each is wholly inside or outside the domain, and
-the domain is the union of the closed inside cells (so two masks that touch leave no slit between them). Limits closer
-to each other than 1e-9° count as one.
+The limits of the band and of the masks cut the sphere into cells. Each cell is wholly inside or outside the domain, and
+the domain is the union of the closed inside cells (so there is no slit between two masks that touch). Limits closer
+to each other than 1e-9° count as equal.
 
-A border arc of an image needs no cover where it runs outside the domain. The outside is described by the *largest
-boxes* of outside cells: every point in the interior of the outside lies in the interior of one of them, because a small
-box around the point can be grown until it is stopped on all sides. So the open boxes together are the outside, exactly.
-For safety against rounding each box is taken 1e-12 rad smaller than it is: the domain can only grow by that.
+An arc of an image border needs no cover where it runs outside the domain. The outside is described by the *maximal
+boxes* of outside cells: every interior point of the outside is an interior point of one of them, because a small box
+around the point can be grown until it is blocked on all sides. So the union of the open boxes is exactly the outside.
+Each box is shrunk by 1e-12 rad against rounding, so the domain can only grow by that amount.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from panoexec.planning.model import AngleBox, Band
 
 _SAME_DEG = 1e-9
 GROWTH_RAD = 1e-12
-"""The domain is taken larger by this much, against rounding."""
+"""The domain is enlarged by this angle (rad) against rounding errors."""
 
 _NOTHING = (2.0, -1.0)
 """An empty interval of [0, 1]."""
@@ -34,10 +34,10 @@ _NOTHING = (2.0, -1.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Border:
-    """A piece of a domain's border.
+    """A segment of a domain's border.
 
-    A parallel (`from_deg`, `to_deg` are azimuths, `at_deg` an elevation) or a meridian (elevations, an azimuth).
-    `inner` is +1 where the domain lies above a parallel or clockwise of a meridian, -1 on the other side.
+    It is a parallel (`from_deg`, `to_deg` are azimuths, `at_deg` an elevation) or a meridian (elevations, an azimuth).
+    `inner` is +1 where the domain lies above a parallel or clockwise of a meridian, and -1 on the other side.
     """
 
     is_parallel: bool
@@ -53,7 +53,7 @@ class Border:
 
 @dataclass(frozen=True, slots=True)
 class Domain:
-    """See the module's text.
+    """The set of directions to cover; see the module docstring.
 
     Attributes:
         elevations_deg: (a + 1,) limits of the cells from the nadir to the zenith.
@@ -67,7 +67,7 @@ class Domain:
 
     @staticmethod
     def of(band: Band, masks: tuple[AngleBox, ...] = ()) -> Domain:
-        """The band less the masks.
+        """The domain of a band minus masks.
 
         Raises:
             PlanningError: the band has no extent.
@@ -98,19 +98,19 @@ class Domain:
 
     @property
     def solid_angle_sr(self) -> float:
-        """Solid angle of all inside cells."""
+        """Solid angle of all inside cells, steradians."""
         height = np.diff(np.sin(np.radians(self.elevations_deg)))
         width = np.radians(np.diff(self.azimuths_deg))
         return float(height @ self.inside @ width)
 
     def cell_centres(self) -> FloatArray:
-        """A direction in each inside cell (every connected part of the domain has one), (k, 3)."""
+        """A direction in each inside cell, (k, 3); so every connected component of the domain has at least one."""
         i, j = np.nonzero(self.inside)
         elevation = (self.elevations_deg[i] + self.elevations_deg[i + 1]) / 2
         return direction(elevation, (self.azimuths_deg[j] + self.azimuths_deg[j + 1]) / 2)
 
     def contains(self, directions: ArrayLike) -> NDArray[np.bool_]:
-        """Whether world directions (..., 3) lie in the domain; on a cell's very border either answer may come."""
+        """Mask (...) of the world directions (..., 3) in the domain; on a cell's border the result is arbitrary."""
         elevation, azimuth = elevation_azimuth(directions)
         i = np.searchsorted(self.elevations_deg, elevation, side="right") - 1
         j = np.searchsorted(self.azimuths_deg, self.azimuths_deg[0] + (azimuth - self.azimuths_deg[0]) % 360.0, "right")
@@ -118,9 +118,9 @@ class Domain:
         return np.asarray(self.inside[np.clip(i, 0, rows - 1), np.clip(j - 1, 0, columns - 1)])
 
     def borders(self) -> Iterator[Border]:
-        """The pieces between an inside and an outside cell, and the poles where the domain reaches them.
+        """The segments between an inside and an outside cell, and the poles that belong to the domain.
 
-        A pole counts as a parallel of no length: it closes the domain as seen in elevation and azimuth.
+        A pole is a parallel of length 0: it closes the domain in elevation and azimuth coordinates.
         """
         columns = self.inside.shape[1]
         padded = np.pad(self.inside, ((1, 1), (0, 0)))
@@ -165,7 +165,7 @@ class Domain:
 
 
 def _turned(mask: AngleBox, start_deg: float) -> tuple[float, float]:
-    """A mask's azimuths counted from the sector's start: from [0, 360) to up to one turn more."""
+    """A mask's azimuths relative to the sector's start: the first in [0, 360), the second up to one turn larger."""
     width = mask.azimuth_max_deg - mask.azimuth_min_deg
     width = width % 360.0 if width < 0 else min(width, 360.0)
     begin = (mask.azimuth_min_deg - start_deg) % 360.0
@@ -173,7 +173,7 @@ def _turned(mask: AngleBox, start_deg: float) -> tuple[float, float]:
 
 
 def _limits(fixed: list[float], others: list[float], extent: float) -> FloatArray:
-    """Sorted limits within ± extent (or 0 to extent, as `fixed` begins), those that agree taken once."""
+    """Sorted limits within ±extent (or 0 to extent, depending on the first of `fixed`), without duplicates."""
     kept = sorted(set(fixed))
     for value in sorted(others):
         if kept[0] < value < extent and min(abs(value - k) for k in kept) > _SAME_DEG:
@@ -182,14 +182,14 @@ def _limits(fixed: list[float], others: list[float], extent: float) -> FloatArra
 
 
 def _runs(values: NDArray[np.int_]) -> list[tuple[int, int, int]]:
-    """Stretches (first, one past last, value) of equal values other than 0."""
+    """Runs (first, one past last, value) of equal nonzero values."""
     changes = [0, *(np.nonzero(np.diff(values))[0] + 1).tolist(), len(values)]
     return [(a, b, int(values[a])) for a, b in pairwise(changes) if values[a]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Box:
-    """Limits in degrees; None where the box reaches a pole or goes all round."""
+    """Limits in degrees; None where the box includes a pole or all azimuths."""
 
     low_deg: float | None
     high_deg: float | None
@@ -197,7 +197,7 @@ class _Box:
 
 
 def _largest_boxes(elevations: FloatArray, azimuths: FloatArray, chosen: NDArray[np.bool_]) -> Iterator[_Box]:
-    """All boxes of chosen cells that cannot be grown; those wider than half a turn as two that overlap."""
+    """All maximal boxes of chosen cells; a box wider than half a turn is given as two overlapping boxes."""
     rows, columns = chosen.shape
     for first in range(rows):
         for last in range(first, rows):
@@ -221,7 +221,7 @@ def _largest_boxes(elevations: FloatArray, azimuths: FloatArray, chosen: NDArray
 
 
 def _cyclic_runs(values: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Stretches (start, length) of True, cyclic."""
+    """Runs (start, length) of True in a cyclic array."""
     n = len(values)
     if values.all():
         return [(0, n)]
@@ -230,7 +230,7 @@ def _cyclic_runs(values: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _box_intervals(box: _Box, starts: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The intervals (m, ≤ 3) of arcs inside an open box, slightly shrunk; see `Domain.outside_intervals`."""
+    """The intervals (m, ≤ 3) of arcs inside an open, slightly shrunk box; see `Domain.outside_intervals`."""
     low, high = np.zeros(len(starts)), np.ones(len(starts))
     if box.azimuths_deg is not None:
         begin, end = (math.radians(a) for a in box.azimuths_deg)
@@ -242,7 +242,7 @@ def _box_intervals(box: _Box, starts: FloatArray, ends: FloatArray) -> tuple[Flo
     for limit, sign in ((box.low_deg, 1.0), (box.high_deg, -1.0)):
         if limit is None:
             continue
-        # being above `limit` is being in a cap about the zenith, or, below the horizon, out of one about the nadir
+        # above `limit` means inside a cap about the zenith or, below the horizon, outside a cap about the nadir
         inward = sign * math.radians(limit) + GROWTH_RAD
         below, above = _cap(starts, ends, -sign * math.copysign(1.0, inward), abs(inward))
         if inward >= 0:
@@ -255,7 +255,7 @@ def _box_intervals(box: _Box, starts: FloatArray, ends: FloatArray) -> tuple[Flo
 def _without(
     low: FloatArray, high: FloatArray, holes: list[tuple[FloatArray, FloatArray]]
 ) -> tuple[FloatArray, FloatArray]:
-    """Intervals [low, high] less up to two closed intervals each: (m, 1 + number of holes)."""
+    """Intervals [low, high] minus up to two closed intervals each: (m, 1 + number of holes)."""
     pieces = [(low, high)]
     for hole_low, hole_high in holes:
         gone = hole_low > hole_high
@@ -295,8 +295,8 @@ def _cap(starts: FloatArray, ends: FloatArray, axis_down: float, elevation_rad: 
     top = np.hypot(height_0, height_1)
     sine = math.sin(min(elevation_rad, math.pi / 2))
     half = np.arccos(np.clip(sine / np.maximum(top, 1e-300), -1.0, 1.0))
-    # the highest point of the great circle, in the turn that is nearest the arc's middle: the cap is convex and the arc
-    # shorter than half a turn, so no other turn of it can meet the arc
+    # take the highest point of the great circle in the turn nearest to the arc's middle: the cap is convex and the arc
+    # shorter than half a turn, so in no other turn can the two meet
     peak = np.arctan2(height_1, height_0)
     peak = length / 2 + (peak - length / 2 + math.pi) % (2 * math.pi) - math.pi
     missed = (top < sine) | (elevation_rad > math.pi / 2)

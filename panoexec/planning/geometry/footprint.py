@@ -1,8 +1,8 @@
-"""The footprint of one image: the rectangle of its image plane, its rectangular pyramid of rays, its outline.
+"""The footprint of one image: its rectangle in the image plane, its pyramid of rays, its outline.
 
 The *image plane* is the plane at distance 1 in front of the camera, with coordinates (y right, z down): an image is the
 rectangle |y| ≤ half_width, |z| ≤ half_height. On the sphere it is a convex quadrilateral whose four sides are arcs of
-great circles, the cut of four half-spaces through the centre.
+great circles, the intersection of four half-spaces through the centre.
 
 Corners and edges are numbered clockwise as a viewer of the image sees them. Corners: 0 top left, 1 top right, 2 bottom
 right, 3 bottom left. Edge i runs from corner i to corner i + 1: 0 top, 1 right, 2 bottom, 3 left.
@@ -23,10 +23,10 @@ from panoexec.optics import Camera
 def edge_normals(camera: Camera) -> FloatArray:
     """Inward unit normals of the four edge planes (top, right, bottom, left), camera frame.
 
-    A direction d is in the image exactly when `edge_normals(camera) @ d >= 0` in all four. No fifth condition is needed
-    for being in front of the camera: the normals of right and left are, up to length, (w, -1, 0) and (w, 1, 0) with
-    w = half_width > 0; both conditions added give 2·w·x ≥ 0. And x = 0 leaves only 0 ≥ ±y and 0 ≥ ±z, the null vector.
-    This holds for any field of view below 180°.
+    A direction d is in the image exactly when `edge_normals(camera) @ d >= 0` in all four components. A fifth condition
+    for "in front of the camera" is not needed: the normals of right and left are, up to length, (w, -1, 0) and
+    (w, 1, 0) with w = half_width > 0; the sum of both conditions is 2·w·x ≥ 0. And x = 0 leaves only 0 ≥ ±y and
+    0 ≥ ±z, the null vector. This holds for any field of view below 180°.
 
     Returns:
         (4, 3), read-only.
@@ -68,7 +68,7 @@ def outline(camera: Camera, rotation: ArrayLike, points_per_edge: int = 16) -> F
 
 
 def inside_margin(camera: Camera, rotation: ArrayLike, directions: ArrayLike) -> FloatArray:
-    """How far inside an image directions are, as the sine of the angle to the nearest edge plane.
+    """Signed distance of directions from the image border, as the sine of the angle to the nearest edge plane.
 
     Args:
         camera: the camera.

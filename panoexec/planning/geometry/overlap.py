@@ -1,13 +1,13 @@
 """Exact overlap of images, for many pairs at once: the paper's equation (5) in the limit of infinitely many pixels.
 
 The overlap of image A with image B is the fraction of A's image-plane area that B sees too. It is not symmetric: two
-equal cameras that differ by a rotation share the same solid angle, but a different part of it lies near each one's
-corners, where a pixel is a smaller angle.
+equal cameras that differ by a rotation share the same solid angle, but that part covers a different area in each image
+plane, because a pixel near the corners covers a smaller angle.
 
-How: in A's image plane (see `footprint`) A is a rectangle, and each edge plane of B, a plane through
-the common centre, cuts it in a straight line. So what B sees of A is the rectangle clipped against B's four edge
-planes: a convex polygon of at most eight corners, whose area is exact up to rounding. The four half-spaces need no
-fifth one for "in front of B" (proof: `footprint.edge_normals`).
+Method: in A's image plane (see `footprint`) A is a rectangle, and each edge plane of B, which passes through the common
+centre, cuts it in a straight line. So the part of A that B sees is the rectangle clipped to B's four edge planes: a
+convex polygon of at most eight corners, whose area is exact up to rounding. The four half-spaces need no fifth one for
+"in front of B" (proof: `footprint.edge_normals`).
 
 Polygons are arrays (n, v, 2) of image-plane corners (y right, z down) in order. A polygon with fewer than v corners
 repeats its first one; an empty one is all NaN. Half-planes are rows (c, a, b) that keep c + a·y + b·z ≥ 0.
@@ -25,21 +25,21 @@ from panoexec.optics import Camera
 from panoexec.planning.geometry.footprint import edge_normals, rectangle
 
 _FEW = 4
-"""Up to so many pairs, plain Python is faster than numpy's overhead."""
+"""Up to this number of pairs, plain Python is faster than numpy with its overhead."""
 _AT_A_TIME = 4096
-"""Pairs worked on together: bounds the memory and stays in the processor's cache."""
+"""Pairs processed at a time: limits the memory and fits the processor's cache."""
 
 
 def pairwise_overlap(
     camera_a: Camera, rotations_a: ArrayLike, rotations_b: ArrayLike, camera_b: Camera | None = None
 ) -> FloatArray:
-    """Fraction of the area of each image A that its partner B sees too.
+    """Fraction of the area of each image A that its image B sees too.
 
     Args:
         camera_a: the camera of images A.
         rotations_a: camera-to-world rotations (..., 3, 3).
         rotations_b: likewise; broadcasts with `rotations_a`.
-        camera_b: the camera of images B, if it is another one.
+        camera_b: the camera of images B; by default the same camera.
 
     Returns:
         (...), in [0, 1].
@@ -66,16 +66,16 @@ def clip_footprint(
         camera_a: the camera of images A.
         rotations_a: camera-to-world rotations (n, 3, 3), or (3, 3).
         rotations_b: likewise; broadcasts with `rotations_a`.
-        camera_b: the camera of images B, if it is another one.
+        camera_b: the camera of images B; by default the same camera.
 
     Returns:
-        (n, v, 2), v ≤ 8; see the module's text.
+        (n, v, 2), v ≤ 8; see the module docstring.
     """
     return clip_footprints(camera_a, half_planes(rotations_a, rotations_b, camera_b or camera_a).reshape(-1, 4, 3))
 
 
 def clip_footprints(camera: Camera, planes: FloatArray) -> FloatArray:
-    """Images cut with half-planes (n, k, 3) of their image planes: polygons (n, v, 2), v ≤ 4 + k."""
+    """Clip images to half-planes (n, k, 3) of their image planes: polygons (n, v, 2), v ≤ 4 + k."""
     return clip(_rectangles(camera, len(planes)), planes)
 
 
@@ -92,8 +92,8 @@ def union_overlap(
         camera_a: the camera of images A.
         rotations_a: camera-to-world rotations (n, 3, 3).
         rotations_b: of each image's m partners, (n, m, 3, 3).
-        present: (n, m), False where a partner is only padding.
-        camera_b: the camera of images B, if it is another one.
+        present: (n, m), False where a partner is padding.
+        camera_b: the camera of images B; by default the same camera.
 
     Returns:
         (n,), in [0, 1].
@@ -122,11 +122,11 @@ def half_planes(rotations_a: ArrayLike, rotations_b: ArrayLike, camera_b: Camera
 
 
 def clip(polygons: FloatArray, planes: FloatArray) -> FloatArray:
-    """Cut convex polygons with half-planes (Sutherland and Hodgman, all polygons at a time).
+    """Clip convex polygons to half-planes (Sutherland and Hodgman, vectorised over all polygons).
 
     Args:
         polygons: (n, v, 2).
-        planes: (n, k, 3); polygon i is cut with all k half-planes of row i.
+        planes: (n, k, 3); polygon i is clipped to all k half-planes of row i.
 
     Returns:
         (n, w, 2), w ≤ v + k.
@@ -149,17 +149,17 @@ def clip(polygons: FloatArray, planes: FloatArray) -> FloatArray:
 def subtract(
     polygons: FloatArray, planes: FloatArray, present: ArrayLike | None = None
 ) -> tuple[FloatArray, NDArray[np.intp]]:
-    """What is left of convex polygons when other convex polygons are taken out, as convex pieces.
+    """Subtract convex polygons from convex polygons; the difference is returned as convex pieces.
 
-    A minus B is cut into the pieces "inside the first i half-planes of B, outside the next", which do not overlap.
+    A minus B is split into the pieces "inside the first i half-planes of B, outside the next", which are disjoint.
 
     Args:
         polygons: (n, v, 2).
-        planes: (n, m, k, 3); from polygon i, the m polygons that are each the cut of k half-planes are taken out.
-        present: (n, m), False where the polygon to take out is only padding.
+        planes: (n, m, k, 3); the m polygons subtracted from polygon i, each the intersection of k half-planes.
+        present: (n, m), False where the polygon to subtract is padding.
 
     Returns:
-        Pieces (p, w, 2), none empty, and the index (p,) of the polygon that each belongs to.
+        Pieces (p, w, 2), none empty, and for each the index (p,) of its polygon.
     """
     count, m, k = planes.shape[:3]
     wanted = np.ones((count, m), dtype=bool) if present is None else np.asarray(present, dtype=bool)
@@ -183,7 +183,7 @@ def subtract(
 
 
 def union_area(polygons: Sequence[ArrayLike]) -> float:
-    """Area of the union of convex polygons, each (v, 2) with at least three corners in either sense of rotation."""
+    """Area of the union of convex polygons, each (v, 2) with at least three corners in either orientation."""
     total = 0.0
     edges = [_polygon_planes(np.asarray(p, dtype=np.float64)) for p in polygons]
     for i, polygon in enumerate(polygons):
@@ -199,14 +199,14 @@ def union_area(polygons: Sequence[ArrayLike]) -> float:
 
 def polygon_area(polygons: FloatArray) -> FloatArray:
     """Areas (n,) of polygons (n, v, 2); 0 for an empty one."""
-    # relative to the first corner: no cancellation for a small polygon far from the centre
+    # relative to the first corner, to avoid cancellation for a small polygon far from the centre
     y, z = np.moveaxis(polygons[:, 1:] - polygons[:, :1], -1, 0)
     area = np.abs((y[:, :-1] * z[:, 1:] - y[:, 1:] * z[:, :-1]).sum(axis=1)) / 2
     return np.asarray(np.where(np.isnan(area), 0.0, area))
 
 
 def _overlap_of_one(camera: Camera, planes: list[list[float]]) -> float:
-    """`pairwise_overlap` for one pair, in plain Python: the share of the image that four half-planes leave."""
+    """`pairwise_overlap` for one pair, in plain Python: the fraction of the image inside four half-planes."""
     w, h = camera.half_width, camera.half_height
     corners = [(-w, -h), (w, -h), (w, h), (-w, h)]
     for c, a, b in planes:
@@ -235,7 +235,7 @@ def _overlap_of_one(camera: Camera, planes: list[list[float]]) -> float:
 
 
 def _cut(polygons: FloatArray, distance: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
-    """Cut each polygon with the half-plane to which its corners have the given signed distances (n, v)."""
+    """Clip each polygon to the half-plane to which its corners have the given signed distances (n, v)."""
     n, v = distance.shape
     following = np.arange(1 - v, 1)  # the index of the next corner, cyclic
     crossing = inside != inside[:, following]
@@ -258,7 +258,7 @@ def _cut(polygons: FloatArray, distance: FloatArray, inside: NDArray[np.bool_]) 
 
 
 def _scatter(polygons: FloatArray, whole: NDArray[np.bool_], partly: NDArray[np.bool_], cut: FloatArray) -> FloatArray:
-    """The polygons (n, v, 2) where `whole`, the cut ones where `partly`, the others empty."""
+    """Polygons (n, v, 2): unchanged where `whole`, clipped where `partly`, empty elsewhere."""
     n, v = polygons.shape[:2]
     out = np.full((n, max(v, cut.shape[1]), 2), np.nan)
     out[whole, :v] = polygons[whole]
@@ -274,13 +274,13 @@ def _distances(polygons: FloatArray, planes: FloatArray) -> FloatArray:
 
 
 def _outside_one(polygons: FloatArray, planes: FloatArray) -> NDArray[np.bool_]:
-    """Whether each polygon (n, v, 2) lies wholly outside at least one of its half-planes (n, k, 3)."""
+    """Whether each polygon (n, v, 2) is completely outside at least one of its half-planes (n, k, 3)."""
     distance = planes[:, :, :1] + planes[:, :, 1:] @ np.swapaxes(polygons, 1, 2)
     return np.asarray(np.any(np.all(distance <= 0, axis=2), axis=1))
 
 
 def _polygon_planes(polygon: FloatArray) -> FloatArray:
-    """The half-planes (v, 3) whose cut is the convex polygon (v, 2)."""
+    """The half-planes (v, 3) whose intersection is the convex polygon (v, 2)."""
     following = np.roll(polygon, -1, axis=0)
     edge = following - polygon
     a, b = -edge[:, 1], edge[:, 0]
@@ -299,7 +299,7 @@ def _rectangle_area(camera: Camera) -> float:
 
 
 def _stack(groups: Sequence[FloatArray]) -> FloatArray:
-    """One array of polygons from several of different widths; narrower ones repeat their first corner."""
+    """Concatenate polygons of different widths; narrower ones repeat their first corner."""
     width = max(group.shape[1] for group in groups)
     out = np.empty((sum(len(group) for group in groups), width, 2))
     start = 0

@@ -1,19 +1,19 @@
-"""The one definition of pose error, used by the certificate and by the mission's gate alike.
+"""The single definition of pose error, used by the certificate and by the mission's pointing gate.
 
-A gimbal has the axes yaw, roll, pitch (3-1-2, see `panoexec.angles`). A camera that was asked for yaw ψ, pitch θ and
-roll 0 stands at R = Rz(ψ + e_yaw) · Rx(e_roll) · Ry(θ + e_pitch). The pose error is (e_pitch, e_roll, e_yaw); a pose is
-*within τ* when each is within its tolerance. As the sequence is singular only at roll ±90°, the three errors are unique
-and steady everywhere, at the nadir too, where a difference of the usual 3-2-1 Euler angles jumps.
+The gimbal's axes are yaw, roll, pitch (3-1-2, see `panoexec.angles`). A camera with the setpoint yaw ψ, pitch θ and
+roll 0 has the attitude R = Rz(ψ + e_yaw) · Rx(e_roll) · Ry(θ + e_pitch). The pose error is (e_pitch, e_roll, e_yaw); a
+pose is *within τ* when each component is within its tolerance. The sequence is singular only at roll ±90°, so the three
+errors are unique and continuous everywhere, at the nadir too, where differences of 3-2-1 Euler angles are not.
 
-What that does to the picture: in the camera's frame (x boresight, y right, z down), with R₀ the target, the rotation
+Effect on the image: in the camera frame (x boresight, y right, z down), with R₀ the target attitude, the rotation
 R₀ᵀ·R has to first order the rotation vector
 
     about z, *across* (boresight moves right):        e_yaw · cos θ + e_roll · sin θ
     about y, *along*  (boresight moves up):           e_pitch
     about x, *rotation* (image turns clockwise):     -e_yaw · sin θ + e_roll · cos θ
 
-exact to second order: the neglected part is at most (|e_yaw| + |e_roll| + |e_pitch|)² / 2 radians. So at the nadir a
-yaw error turns the image about the boresight and a roll error moves it sideways.
+The neglected terms are at most (|e_yaw| + |e_roll| + |e_pitch|)² / 2 radians. At the nadir, a yaw error therefore
+rotates the image about the boresight and a roll error moves the boresight sideways.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from panoexec.planning.model import Tolerance
 
 @dataclass(frozen=True, slots=True)
 class PoseError:
-    """How far poses are from their target; every field has the shape of the poses judged.
+    """Errors of poses relative to their targets; all fields have the same shape.
 
     Attributes:
         pitch_deg: error of the pitch axis, [-180, 180).
@@ -50,11 +50,11 @@ class PoseError:
     boresight_deg: FloatArray
 
     def __getitem__(self, index: int) -> PoseError:
-        """The error of one of the poses judged, counted along their first dimension."""
+        """The error of one pose, by its index along the first dimension."""
         return PoseError(*(getattr(self, field.name)[index] for field in fields(self)))
 
     def within(self, tolerance: Tolerance) -> NDArray[np.bool_]:
-        """Whether each axis's error is within its tolerance (inclusive); NaN never is."""
+        """Whether the error of each axis is within its tolerance (inclusive); False for NaN."""
         return np.asarray(
             (np.abs(self.pitch_deg) <= tolerance.pitch_deg)
             & (np.abs(self.roll_deg) <= tolerance.roll_deg)
@@ -63,7 +63,7 @@ class PoseError:
 
 
 def pose_error(target_pitch_deg: ArrayLike, target_yaw_deg: ArrayLike, measured: ArrayLike) -> PoseError:
-    """The error of measured poses against a target of roll 0.
+    """The errors of measured poses relative to targets with roll 0.
 
     Args:
         target_pitch_deg: (...) or scalar.

@@ -1,4 +1,4 @@
-"""Many roots at once: where falling functions reach zero, by the Illinois variant of false position."""
+"""Vectorised root finding for decreasing functions, by the Illinois variant of false position."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from numpy.typing import NDArray
 from panoexec.angles import FloatArray
 
 Family = Callable[[NDArray[np.intp], FloatArray], FloatArray]
-"""Values (m,) of the functions of indices (m,) at arguments (m,)."""
+"""Function values (m,), for function indices (m,) and arguments (m,)."""
 
 
 def last_nonnegative(
     function: Family, lower: FloatArray, upper: FloatArray, precision: float, steps: int
 ) -> FloatArray:
-    """The greatest arguments found at which falling functions are not negative.
+    """The largest arguments found at which decreasing functions are not negative.
 
     Args:
-        function: see `Family`; asked only for functions whose root is still open.
-        lower: (k,) where to begin.
-        upper: (k,) where to end; at least `lower`.
-        precision: brackets narrower than this are narrow enough.
-        steps: most evaluations after the first two.
+        function: see `Family`; it is evaluated only for functions whose root is not yet bracketed closely enough.
+        lower: (k,) lower end of the bracket.
+        upper: (k,) upper end; at least `lower`.
+        precision: width of a bracket at which the iteration stops.
+        steps: maximum number of evaluations after the first two.
 
     Returns:
-        (k,): an argument at which the function was seen to be ≥ 0, `upper` itself if it is there; NaN if it is negative
+        (k,): an argument at which the function was evaluated as ≥ 0, `upper` if it is ≥ 0 there, NaN if it is negative
         at `lower`.
     """
     count = len(lower)
@@ -48,13 +48,13 @@ def last_nonnegative(
         which, a, b, f_a, f_b, kept = which[wide], a[wide], b[wide], f_a[wide], f_b[wide], kept[wide]
         if not len(which):
             break
-        # never closer to an end than a tenth of the precision, so that a bracket closes from both sides
+        # keep a tenth of the precision away from both ends, so that the bracket shrinks from both sides
         pad = precision / 10
         x = np.clip(a + (b - a) * f_a / (f_a - f_b), a + pad, b - pad)
         f = function(which, x)
         passes = f >= 0
         good[which[passes]] = x[passes]
-        # Illinois: an end that is kept a second time counts half, or it would be kept for ever
+        # Illinois: halve the value at an end that is kept twice in a row, so that it cannot be kept for ever
         f_b = np.where(passes, np.where(kept == 1, f_b / 2, f_b), f)
         f_a = np.where(passes, f, np.where(kept == -1, f_a / 2, f_a))
         kept = np.where(passes, 1, -1)

@@ -1,1 +1,1 @@
-"""The order of shooting, how the vehicle yaws in it, and how long it takes."""
+"""The order of the shots, the vehicle's headings along it, and its duration."""

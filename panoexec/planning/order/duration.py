@@ -1,4 +1,4 @@
-"""What flying a plan costs: slews at the gimbal's rates and accelerations, settling, exposing, camera interval."""
+"""Duration of a plan: slews at the gimbal's rates and accelerations, settling, exposure, camera interval."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from panoexec.planning.order.vehicle_yaw import NO_TURN_DEG, headings_deg
 
 
 def axis_time_s(angle_deg: ArrayLike, rate_deg_s: float, acceleration_deg_s2: float) -> FloatArray:
-    """Least time of one axis from rest to rest: a trapezoid of speed, or a triangle if the rate is never reached."""
+    """Minimum time (s) of one axis from rest to rest: trapezoidal speed profile, or triangular below the full rate."""
     angle = np.abs(np.asarray(angle_deg, dtype=np.float64))
     trapezoid = angle / rate_deg_s + rate_deg_s / acceleration_deg_s2
     return np.where(angle >= rate_deg_s**2 / acceleration_deg_s2, trapezoid, 2 * np.sqrt(angle / acceleration_deg_s2))
 
 
 def yaw_travel_deg(limits: GimbalLimits, from_yaw_deg: ArrayLike, to_yaw_deg: ArrayLike) -> FloatArray:
-    """Signed angle that the camera pans: the short way without end stops, else the way that does not cross ±180°."""
+    """Signed pan angle: the shorter way for a continuous pan axis, else the way that does not cross ±180°."""
     travel = np.asarray(to_yaw_deg, dtype=np.float64) - np.asarray(from_yaw_deg, dtype=np.float64)
     return wrap_180(travel) if limits.all_round else travel
 
@@ -35,10 +35,10 @@ def slew_times_s(
     to_pitch_deg: ArrayLike,
     to_yaw_deg: ArrayLike,
 ) -> FloatArray:
-    """Least time of slews; both axes move at once (Chebyshev metric); arguments broadcast.
+    """Minimum slew times, seconds; both axes move simultaneously (Chebyshev metric); arguments broadcast.
 
-    Where the gimbal does not pan, the vehicle does, and its nose must come to rest. Turns of the vehicle under a gimbal
-    that pans a part of the circle depend on more than two poses: see `panoexec.planning.order.vehicle_yaw`.
+    Where the gimbal has no pan axis the vehicle yaws, and its heading must settle. Turns of the vehicle with a gimbal
+    that pans part of the circle depend on more than two poses: see `panoexec.planning.order.vehicle_yaw`.
     """
     travel = np.asarray(to_pitch_deg, dtype=np.float64) - np.asarray(from_pitch_deg, dtype=np.float64)
     pitch_s = axis_time_s(travel, limits.pitch_rate_deg_s, limits.pitch_acceleration_deg_s2)
@@ -49,7 +49,7 @@ def slew_times_s(
 
 
 def turn_times_s(turning: Turning, angle_deg: ArrayLike) -> FloatArray:
-    """Time of turns of the vehicle, its coming to rest included; 0 where it does not turn."""
+    """Times (s) of turns of the vehicle, including settling of the heading; 0 for an angle of 0."""
     angle = np.abs(np.asarray(angle_deg, dtype=np.float64))
     moving_s = axis_time_s(angle, turning.rate_deg_s, turning.acceleration_deg_s2) + turning.settle_s
     return np.where(angle > NO_TURN_DEG, moving_s, 0.0)
@@ -58,18 +58,18 @@ def turn_times_s(turning: Turning, angle_deg: ArrayLike) -> FloatArray:
 def slew_time_s(
     limits: GimbalLimits, *, from_pitch_deg: float, from_yaw_deg: float, to_pitch_deg: float, to_yaw_deg: float
 ) -> float:
-    """Least time of one slew, seconds."""
+    """Minimum time of one slew, seconds."""
     return float(slew_times_s(limits, from_pitch_deg, from_yaw_deg, to_pitch_deg, to_yaw_deg))
 
 
 def shot_times_s(timing: Timing, slews_s: ArrayLike) -> FloatArray:
-    """Time from one exposure's end to the next one's: what the slew and the settling need, or the camera's interval."""
+    """Time from the end of one exposure to the end of the next (s): slew + settling + exposure, or the interval."""
     own = np.asarray(slews_s, dtype=np.float64) + timing.settle_s + timing.trigger_latency_s + timing.exposure_s
     return np.maximum(own, timing.interval_s)
 
 
 def path_duration_s(shots: Sequence[Shot], limits: GimbalLimits, timing: Timing) -> float:
-    """Seconds from the first settling to the end of the last exposure, in the order given; no retakes."""
+    """Seconds from the start of the first settling to the end of the last exposure, in the given order, no retakes."""
     first_s = timing.settle_s + timing.trigger_latency_s + timing.exposure_s
     if len(shots) < 2:
         return first_s * len(shots)
@@ -77,7 +77,7 @@ def path_duration_s(shots: Sequence[Shot], limits: GimbalLimits, timing: Timing)
 
 
 def estimate(shots: Sequence[Shot], camera: Camera, limits: GimbalLimits, timing: Timing) -> Estimate:
-    """What flying these shots in this order is expected to cost and to bring."""
+    """Expected duration, slew angle and other figures of these shots in this order."""
     pitch, yaw = _angles(shots)
     turned = np.maximum(np.abs(np.diff(pitch)), np.abs(yaw_travel_deg(limits, yaw[:-1], yaw[1:])))
     return Estimate(
@@ -88,10 +88,10 @@ def estimate(shots: Sequence[Shot], camera: Camera, limits: GimbalLimits, timing
 
 
 def budget_problems(plan: Plan, *, max_images: int | None, max_duration_s: float | None) -> list[str]:
-    """What of a budget a plan breaks, one line each, with the figures."""
+    """The parts of a budget that a plan exceeds, one line each, with the figures."""
     problems = []
     if max_images is not None and len(plan.shots) > max_images:
-        problems.append(f"{len(plan.shots)} images are needed, {max_images} are allowed")
+        problems.append(f"the plan needs {len(plan.shots)} images, {max_images} are allowed")
     duration_s = math.nan if plan.estimate is None else plan.estimate.duration_s
     if max_duration_s is not None and duration_s > max_duration_s:
         problems.append(f"the mission takes about {duration_s:.0f} s, {max_duration_s:g} s are allowed")
@@ -99,16 +99,16 @@ def budget_problems(plan: Plan, *, max_images: int | None, max_duration_s: float
 
 
 def check_budget(plan: Plan, *, max_images: int | None, max_duration_s: float | None, hint: str = "") -> None:
-    """Refuse a plan that breaks a budget.
+    """Reject a plan that exceeds a budget.
 
     Args:
-        plan: with its estimate.
-        max_images: None for any number.
-        max_duration_s: None for any duration.
-        hint: what would help, added to the message.
+        plan: the plan, with its estimate.
+        max_images: None for no limit.
+        max_duration_s: None for no limit.
+        hint: what would fit, appended to the message.
 
     Raises:
-        PlanningError: it does; the message says by how much.
+        PlanningError: the plan exceeds the budget; the message gives the figures.
     """
     problems = budget_problems(plan, max_images=max_images, max_duration_s=max_duration_s)
     if problems:

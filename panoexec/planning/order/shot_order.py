@@ -1,8 +1,8 @@
-"""The order of shooting: a short open path through all poses, in the time that gimbal and camera need.
+"""The order of the shots: a short open path through all poses, minimising the time that gimbal and camera need.
 
-Time between two shots is the longer of the slew (both axes at once, with rates and accelerations) plus settling and
-exposing, and the camera's interval: slews that hide in the interval are free. Among orders of equal time the one that
-turns the X by 2-opt and Or-opt moves among near poses until none helps.
+The time between two shots is the longer of slew (both axes simultaneously, with rates and accelerations) plus settling
+plus exposure, and the camera's interval: a slew that fits into the interval costs nothing. Ties are broken by the
+smaller total rotation. The path is improved by 2-opt and Or-opt moves among near poses until no move helps.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from panoexec.angles import FloatArray, direction, wrap_180
 from panoexec.planning.model import GimbalLimits, Shot, Timing
 from panoexec.planning.order.duration import shot_times_s, slew_times_s, yaw_travel_deg
-from panoexec.planning.order.vehicle_yaw import PanReach, stations
+from panoexec.planning.order.vehicle_yaw import PanReach, heading_groups
 
 Order: TypeAlias = Literal["fastest", "rows", "columns", "nadir-first", "sky-first"]
 ORDERS: Final[tuple[Order, ...]] = get_args(Order)
@@ -26,11 +26,11 @@ Pose: TypeAlias = tuple[float, float]
 Indices: TypeAlias = NDArray[np.intp]
 
 _NEAR = 10
-"""So many near poses are tried as neighbours of a pose."""
+"""Number of near poses that are tried as neighbours of a pose."""
 _MANY = 500
-"""From so many shots on only the best start is improved, and not for longer than it pays."""
+"""From this number of shots only the best start is improved, for a limited number of rounds."""
 _TURN_WEIGHT_S = 1e-4
-"""Seconds a degree of turning counts: decides among orders of equal time, never against time."""
+"""Cost in seconds of a degree of rotation: it breaks ties of time but never outweighs time."""
 
 
 def order_shots(
@@ -41,21 +41,21 @@ def order_shots(
     order: Order = "fastest",
     start: Pose | None = None,
 ) -> tuple[Shot, ...]:
-    """The shots in shooting order, indices renumbered.
+    """The shots in shooting order, with new indices.
 
     Args:
-        shots: in any order; rows as `Shot.row` tells.
-        limits: rates, accelerations, and whether the pan axis turns without end.
+        shots: in any order; `Shot.row` gives the rows.
+        limits: rates, accelerations, and whether the pan axis is continuous.
         timing: settle time, exposure, camera interval.
-        order: `fastest` (where the vehicle must turn: once round, with the fewest turns); `rows`: row by row, from the
-            end that is faster; `columns`; `nadir-first` and `sky-first`: row by row from that end.
-        start: where the gimbal looks before the first slew; anywhere if not given.
+        order: `fastest` (if the vehicle must yaw: one turn around, with as few headings as possible); `rows`: row by
+            row, from the end that is faster; `columns`; `nadir-first` and `sky-first`: row by row from that end.
+        start: pitch and yaw of the gimbal before the first slew; None: any.
     """
     if len(shots) < 2:
         return tuple(replace(shot, index=0) for shot in shots)
     cost = _Cost.of(shots, limits, timing, start)
     if order == "fastest" and limits.turning is not None and not limits.yaw_endless:
-        return tuple(replace(shots[i], index=n) for n, i in enumerate(_by_stations(shots, limits, timing, start)))
+        return tuple(replace(shots[i], index=n) for n, i in enumerate(_by_heading(shots, limits, timing, start)))
     match order:
         case "columns":
             path = _columns(shots, cost)
@@ -80,13 +80,13 @@ def _fastest(shots: Sequence[Shot], cost: _Cost) -> Indices:
     return min((_improved(path, cost) for path in starts[: 1 if len(shots) > _MANY else None]), key=cost.total)
 
 
-def _by_stations(shots: Sequence[Shot], limits: GimbalLimits, timing: Timing, start: Pose | None) -> list[int]:
-    """From heading to heading, once round; at each the shots that the gimbal reaches from there, the fastest way."""
-    groups = stations([shot.yaw_deg for shot in shots], PanReach.of(limits))
-    still = replace(limits, turning=None, yaw_endless=False)  # between its stops, the gimbal alone
+def _by_heading(shots: Sequence[Shot], limits: GimbalLimits, timing: Timing, start: Pose | None) -> list[int]:
+    """From heading to heading, one turn around; at each heading its reachable shots in the fastest order."""
+    groups = heading_groups([shot.yaw_deg for shot in shots], PanReach.of(limits))
+    still = replace(limits, turning=None, yaw_endless=False)  # the gimbal alone, between its stops
     path: list[int] = []
     for group in groups:
-        # yaws about the middle of the group, where no stop is crossed
+        # yaws relative to the middle of the group, where no stop is crossed
         middle = shots[group[0]].yaw_deg + (shots[group[-1]].yaw_deg - shots[group[0]].yaw_deg) % 360.0 / 2
         local = [replace(shots[i], index=0, yaw_deg=float(wrap_180(shots[i].yaw_deg - middle))) for i in group]
         before = start if not path else (shots[path[-1]].pitch_deg, float(wrap_180(shots[path[-1]].yaw_deg - middle)))
@@ -97,7 +97,7 @@ def _by_stations(shots: Sequence[Shot], limits: GimbalLimits, timing: Timing, st
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Cost:
-    """Time between poses, with a little weight on turning; poses by number."""
+    """Cost between poses (by index): time, plus a small weight on rotation."""
 
     pitch: FloatArray
     yaw: FloatArray
@@ -116,7 +116,7 @@ class _Cost:
         return self._hop(self.pitch[a], self.yaw[a], self.pitch[b], self.yaw[b])
 
     def entry(self, b: Indices | int) -> FloatArray:
-        """Cost from where the gimbal looks at the start; 0 if it may look anywhere."""
+        """Cost from the gimbal's start pose; 0 if it may be any."""
         if self.start is None:
             return np.zeros(np.shape(b))
         return self._hop(np.asarray(self.start[0]), np.asarray(self.start[1]), self.pitch[b], self.yaw[b])
@@ -132,7 +132,7 @@ class _Cost:
 
 
 def _serpentine(shots: Sequence[Shot], cost: _Cost, *, upwards: bool) -> Indices:
-    """Row by row; each row is entered where that is cheapest and left next to where it was entered."""
+    """Row by row; each row is entered at the cheapest pose and left next to it."""
     rows: dict[int, list[int]] = {}
     for i, shot in enumerate(shots):
         rows.setdefault(shot.row, []).append(i)
@@ -147,9 +147,9 @@ def _serpentine(shots: Sequence[Shot], cost: _Cost, *, upwards: bool) -> Indices
 
 
 def _entered(row: Indices, cost: _Cost, last: int | None) -> Indices:
-    """The cheapest way through one row (sorted by yaw) from the pose before it."""
+    """The cheapest path through one row (sorted by yaw) from the previous pose."""
     n = len(row)
-    # an endless pan axis may begin anywhere, one with stops only at the ends
+    # a continuous pan axis may start anywhere in the row, one with stops only at the ends
     cuts = np.arange(n) if cost.limits.all_round else np.array([0])
     hops = cost.between(row, np.roll(row, -1))
     inside = hops.sum() - hops[cuts - 1]
@@ -167,7 +167,7 @@ def _entered(row: Indices, cost: _Cost, last: int | None) -> Indices:
 
 
 def _columns(shots: Sequence[Shot], cost: _Cost) -> Indices:
-    """Columns as wide as the spacing of the fullest row, up and down by turns."""
+    """Column by column, each as wide as the spacing of the row with the most images, alternating up and down."""
     per_row: dict[int, int] = {}
     for shot in shots:
         per_row[shot.row] = per_row.get(shot.row, 0) + 1
@@ -180,7 +180,7 @@ def _columns(shots: Sequence[Shot], cost: _Cost) -> Indices:
 
 
 def _improved(path: Indices, cost: _Cost) -> Indices:
-    """2-opt and Or-opt among near poses, until no move helps; never worse than what it is given."""
+    """2-opt and Or-opt among near poses until no move helps; the result is never worse than the input."""
     near = _near(cost)
     worth = 1e-4 if len(path) > _MANY else 1e-9
     for _ in range(60):
@@ -193,7 +193,7 @@ def _improved(path: Indices, cost: _Cost) -> Indices:
 
 
 def _near(cost: _Cost) -> Indices:
-    """For each pose the near ones (n, k), by direction; found in blocks, so that memory stays small."""
+    """The near poses (n, k) of each pose, by direction; computed in blocks to limit memory."""
     rays = direction(cost.pitch, cost.yaw)
     n = len(rays)
     k = min(_NEAR, n - 1)
@@ -207,10 +207,10 @@ def _near(cost: _Cost) -> Indices:
 
 
 def _two_opt(path: Indices, cost: _Cost, near: Indices) -> Indices:
-    """Turn parts of the path round where that saves most, several that do not meet at a time."""
+    """Reverse the segments of the path that save most; several disjoint segments at a time."""
 
     def gains(position: Indices) -> tuple[FloatArray, Indices, Indices]:
-        # new edges (a, c) and (b, d) for (a, b) and (c, d), where b follows a and d follows c; -1 has no follower
+        # edges (a, b) and (c, d) become (a, c) and (b, d), where b follows a and d follows c; -1 means no successor
         first, second = np.repeat(position[path], near.shape[1]), position[near[path]].reshape(-1)
         first, second = np.minimum(first, second), np.maximum(first, second)
         after, last = first + 1, second + 1
@@ -225,7 +225,7 @@ def _two_opt(path: Indices, cost: _Cost, near: Indices) -> Indices:
 
 
 def _or_opt(path: Indices, cost: _Cost, near: Indices) -> Indices:
-    """Move one pose to beside a near one where that saves."""
+    """Move a pose next to a near one where that saves."""
 
     def gains(position: Indices) -> tuple[FloatArray, Indices, Indices]:
         n = len(path)
@@ -237,7 +237,7 @@ def _or_opt(path: Indices, cost: _Cost, near: Indices) -> Indices:
         removed = np.where(has_before, cost.between(before, pose), cost.entry(pose) - cost.entry(after))
         removed += np.where(has_after, cost.between(pose, after), 0.0)
         removed -= np.where(has_before & has_after, cost.between(before, after), 0.0)
-        # put between j and the pose that follows it
+        # insert between j and its successor
         follower_exists = j < n - 1
         follower = path[np.minimum(j + 1, n - 1)]
         added = cost.between(path[j], pose)
@@ -257,7 +257,7 @@ def _apply(
     gains: Callable[[Indices], tuple[FloatArray, Indices, Indices]],
     change: Callable[[Indices, int, int], Indices],
 ) -> Indices:
-    """Make the best moves whose stretches of the path do not meet."""
+    """Apply the best moves whose segments of the path are disjoint."""
     position = np.empty_like(path)
     position[path] = np.arange(len(path))
     saved, first, second = gains(position)
@@ -266,7 +266,7 @@ def _apply(
     for move in np.argsort(-saved, kind="stable"):
         if saved[move] <= 1e-9:
             break
-        # moves within a stretch leave positions outside it alone, so stretches that do not meet can all be changed
+        # a move within a segment does not change positions outside it, so disjoint segments can all be changed
         if not taken[low[move] + 1 : high[move] + 2].any():
             taken[low[move] + 1 : high[move] + 2] = True
             path = change(path, int(first[move]), int(second[move]))

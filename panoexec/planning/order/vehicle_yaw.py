@@ -1,8 +1,8 @@
-"""Where the vehicle's nose must point for the gimbal to reach a yaw, and an order of shots that turns it little.
+"""The headings from which the gimbal reaches given yaws, and an order of shots with few turns of the vehicle.
 
-A gimbal that pans from `lo` to `hi` degrees off the nose reaches the yaw ψ from every heading in [ψ - hi, ψ - lo]; one
-of two axes from ψ alone. Of a run of shots, those are taken from one heading whose intervals have a point in common;
-the longest such run from the next shot on, taken greedily, makes the fewest turns that an order allows.
+A gimbal that pans from `lo` to `hi` degrees relative to the nose reaches the yaw ψ from every heading in
+[ψ - hi, ψ - lo]; a gimbal without pan axis only from ψ. Consecutive shots can be taken from one heading if their
+intervals have a common point; always taking the longest such run (greedily) minimises the number of turns of an order.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from panoexec.angles import FloatArray, wrap_180
 from panoexec.planning.model import GimbalLimits
 
 NO_TURN_DEG = 0.01
-"""Headings that are no farther apart are one."""
+"""Headings closer than this (degrees) count as equal."""
 _MARGIN_MOST_FRAC = 0.25
-"""Of a narrow pan range no more is left to the swaying of the nose at each end."""
+"""Upper limit of the margin at each end, as a fraction of the pan range."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PanReach:
-    """What the gimbal reaches about the nose: `half_deg` to either side of `centre_deg`, clockwise."""
+    """Yaws that the gimbal reaches relative to the nose: up to `half_deg` to either side of `centre_deg`, clockwise."""
 
     centre_deg: float
     half_deg: float
 
     @classmethod
     def of(cls, limits: GimbalLimits) -> PanReach:
-        """The part of the pan range that is used: all of it but the margins; half a turn and more is all round."""
+        """The usable pan range: all of it minus the margins; half a turn or more to each side reaches every yaw."""
         if limits.yaw_endless:
             return cls(centre_deg=0.0, half_deg=180.0)
         width = limits.yaw_max_deg - limits.yaw_min_deg
@@ -39,27 +39,27 @@ class PanReach:
         return cls(centre_deg=(limits.yaw_min_deg + limits.yaw_max_deg) / 2, half_deg=min(width / 2 - margin, 180.0))
 
     def has(self, yaw_deg: float, heading_deg: float) -> bool:
-        """Whether a yaw is within reach from a heading."""
+        """Whether a yaw can be reached from a heading."""
         return abs(float(wrap_180(yaw_deg - self.centre_deg - heading_deg))) <= self.half_deg + NO_TURN_DEG
 
 
 def heading_for(yaws_deg: Iterable[float], heading_deg: float, reach: PanReach) -> float:
-    """The heading for the next shots: as it is if it reaches the first, else the nearest that serves the most of them.
+    """The heading for the next shots: unchanged if it reaches the first, else the nearest one that reaches most shots.
 
     Args:
-        yaws_deg: of the shots to come, the next one first, as many as are worth looking at.
-        heading_deg: where the nose points, in the same frame.
+        yaws_deg: yaws of the next shots, in order, as many as should be considered.
+        heading_deg: current heading, in the same frame.
         reach: of the gimbal.
 
     Returns:
-        Degrees, [-180, 180); `heading_deg` itself if it need not turn.
+        Degrees, [-180, 180); `heading_deg` itself if no turn is needed.
     """
     coming = iter(yaws_deg)
     first = next(coming)
     if reach.has(first, heading_deg):
         return heading_deg
     middle = first - reach.centre_deg
-    arcs = [(-reach.half_deg, reach.half_deg)]  # headings that serve all shots so far, from `middle`
+    arcs = [(-reach.half_deg, reach.half_deg)]  # headings that reach all shots so far, relative to `middle`
     for yaw in coming:
         offset = float(wrap_180(yaw - first))
         common = [
@@ -77,22 +77,22 @@ def heading_for(yaws_deg: Iterable[float], heading_deg: float, reach: PanReach) 
 
 
 def headings_deg(yaws_deg: ArrayLike, limits: GimbalLimits) -> FloatArray:
-    """The heading for each shot of an order, the first from wherever the nose is best."""
+    """The heading (n,) for each shot of an order; the first one is free."""
     yaws = np.asarray(yaws_deg, dtype=np.float64)
     reach = PanReach.of(limits)
     out = np.empty(len(yaws))
-    # from the back of the first shot, so that it turns, and to where it serves the most
+    # start opposite the first shot, so that `heading_for` turns to the heading that reaches most shots
     heading = float(yaws[0]) - reach.centre_deg + 180.0 if len(yaws) else 0.0
     for number in range(len(yaws)):
         heading = out[number] = heading_for((float(yaw) for yaw in yaws[number:]), heading, reach)
     return out
 
 
-def stations(yaws_deg: Sequence[float] | FloatArray, reach: PanReach) -> list[NDArray[np.intp]]:
-    """Groups of shots that are taken from one heading each, as few as there can be, once round.
+def heading_groups(yaws_deg: Sequence[float] | FloatArray, reach: PanReach) -> list[NDArray[np.intp]]:
+    """Groups of shots that are taken from one heading each: as few groups as possible, one turn around.
 
     Args:
-        yaws_deg: of the shots (n,).
+        yaws_deg: yaws of the shots (n,).
         reach: of the gimbal.
 
     Returns:
@@ -106,7 +106,7 @@ def stations(yaws_deg: Sequence[float] | FloatArray, reach: PanReach) -> list[ND
         return []
     gaps = np.diff(np.append(ordered, ordered[0] + 360.0))
     width = 2 * reach.half_deg + NO_TURN_DEG
-    # a best division begins somewhere within the first group of any; the largest gap breaks ties
+    # an optimal division starts somewhere within the first group of any division; the largest gap breaks ties
     first = (int(np.argmax(gaps)) + 1) % n
     most = len(_cuts(np.roll(ordered, -first), width)[0])
     best: list[NDArray[np.intp]] | None = None
@@ -120,9 +120,9 @@ def stations(yaws_deg: Sequence[float] | FloatArray, reach: PanReach) -> list[ND
 
 
 def _cuts(yaws: FloatArray, width_deg: float) -> list[NDArray[np.intp]]:
-    """Cut a clockwise run of yaws into groups no wider than `width_deg`."""
+    """Split a clockwise sequence of yaws into groups no wider than `width_deg`."""
     along = (yaws - yaws[0]) % 360.0
-    along[np.cumsum(np.diff(along, prepend=0.0) < 0) > 0] += 360.0  # as the first again, after a whole turn
+    along[np.cumsum(np.diff(along, prepend=0.0) < 0) > 0] += 360.0  # past the first yaw again: one whole turn more
     out, begin = [], 0
     while begin < len(along):
         end = int(np.searchsorted(along, along[begin] + width_deg, side="right"))

@@ -1,1 +1,1 @@
-"""The certified planner: rows of images, searched for the fewest that the certificate accepts."""
+"""The certified planner: a search for the rows with the fewest images that the certificate accepts."""

@@ -1,4 +1,4 @@
-"""Why nothing can be planned: which constraint stands in the way, and by how much."""
+"""Diagnosis of infeasible requests: which constraint prevents a plan, and by how much."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ _STEPS = 40
 
 _BISECTIONS = 5
 _MOST_SEEN = 100
-"""A direction that more images than this see is no panorama's need, and pairs of images grow with its square."""
+"""Limit of the images that see one direction: the number of image pairs grows with its square."""
 
 _WIDTH = 4
-"""Of searches that only have to tell whether there is a way at all."""
+"""Beam width of searches that only test feasibility."""
 
 
-def refusal(camera: Camera, constraints: Constraints) -> PlanningError:
-    """The error that says why no plan was found."""
+def infeasibility_error(camera: Camera, constraints: Constraints) -> PlanningError:
+    """The error that explains why no plan was found."""
     return PlanningError(
-        tolerance_eats_image(camera, constraints)
+        empty_cores(camera, constraints)
         or _gimbal(camera, constraints)
         or _overlap(camera, constraints)
         or _tolerance(camera, constraints)
-        or "no rows of images were found that close the band: ask for a smaller tolerance or a smaller band"
+        or "no set of rows covers the band: ask for a smaller tolerance or a smaller band"
     )
 
 
 def nothing_to_cover(constraints: Constraints) -> str | None:
-    """Why there is nothing to plan; None if there is something to cover."""
+    """Message if the domain is empty; None otherwise."""
     if not constraints.masks:
         return None
     if len(Domain.of(constraints.band, constraints.masks).cell_centres()):
@@ -51,39 +51,39 @@ def nothing_to_cover(constraints: Constraints) -> str | None:
     return "the masks leave nothing of the band to cover: ask for a larger band or smaller masks"
 
 
-def too_dense(camera: Camera, constraints: Constraints) -> str | None:
-    """Why the overlaps ask for more images than anybody takes; None if they do not."""
+def excessive_overlap(camera: Camera, constraints: Constraints) -> str | None:
+    """Message if the overlaps need too many images; None otherwise."""
     exact = NeighbourDemand(planned=constraints.overlap_h, worst=0.0, tolerance=NO_TOLERANCE)
     finest = np.array([360.0 / MOST_IN_A_ROW])
-    # at the pitch of the band that is nearest to the horizon neighbours are closest
+    # spacing is smallest at the pitch of the band that is nearest to the horizon
     band = constraints.band
     flattest = 0.0 if band.elevation_min_deg <= 0 <= band.elevation_max_deg else 45.0
     if exact.surplus(camera, np.array([flattest]), finest)[0] < 0:
         return (
-            f"horizontal overlap {constraints.overlap_h:g} takes more than {MOST_IN_A_ROW} images in one row: "
+            f"horizontal overlap {constraints.overlap_h:g} needs more than {MOST_IN_A_ROW} images in one row: "
             "ask for less overlap"
         )
     seen = 1 / ((1 - constraints.overlap_h) * (1 - constraints.overlap_v))
     if seen > _MOST_SEEN * (1 + 1e-9):
         return (
-            f"overlaps of {constraints.overlap_h:g} in rows and {constraints.overlap_v:g} between them show each "
-            f"direction in about {seen:.0f} images, {seen - _MOST_SEEN:.0f} more than panoexec plans: ask for less"
+            f"overlaps of {constraints.overlap_h:g} in rows and {constraints.overlap_v:g} between rows show each "
+            f"direction in about {seen:.0f} images, {seen - _MOST_SEEN:.0f} above the limit: ask for less overlap"
         )
     step = camera.vfov_deg / 2 + math.degrees(math.atan(camera.half_height * (1 - 2 * constraints.overlap_v)))
     rows = (band.elevation_max_deg - band.elevation_min_deg) / max(step, 1e-12)
     if rows > MOST_IN_A_ROW:
-        return f"vertical overlap {constraints.overlap_v:g} takes more than {MOST_IN_A_ROW} rows: ask for less overlap"
+        return f"vertical overlap {constraints.overlap_v:g} needs more than {MOST_IN_A_ROW} rows: ask for less overlap"
     return None
 
 
-def tolerance_eats_image(camera: Camera, constraints: Constraints) -> str | None:
-    """Why no image is sure to see anything; None if some are."""
+def empty_cores(camera: Camera, constraints: Constraints) -> str | None:
+    """Message if no direction is seen for every error in the tolerance (all cores empty); None otherwise."""
     t = constraints.tolerance
     cores = robust_cores(camera, rotation(0.0, np.array(_PITCHES_DEG)), t)
     if not cores.empty.all():
         return None
     return (
-        f"tolerances of {_text(t)} leave nothing that an image of {_size(camera)} is sure to see: "
+        f"with tolerances of {_text(t)} an image of {_size(camera)} is not guaranteed to see any direction: "
         f"pitch must stay below {camera.vfov_deg / 2:.3g}°, roll and yaw well below {camera.hfov_deg / 2:.3g}°"
     )
 
@@ -99,12 +99,12 @@ def _gimbal(camera: Camera, constraints: Constraints) -> str | None:
     layout = rules.layout
     pan = f"the gimbal pans from {gimbal.yaw_min_deg:g} to {gimbal.yaw_max_deg:g}°"
     if not layout.reachable:
-        return f"{pan}: none of the azimuths asked for is within it"
+        return f"{pan}: the requested azimuths are outside this range"
     if layout.blind_deg == 0:
-        return f"{pan}: images of {camera.hfov_deg:.3g}° do not reach the ends of the azimuths asked for from there"
+        return f"{pan}: images of {camera.hfov_deg:.3g}° do not reach the ends of the requested azimuths from there"
     widest = float(rules.widest(np.zeros(1))[0])
     return (
-        f"{pan}, so neighbours must bridge {layout.blind_deg:.4g}°, but with an overlap of "
+        f"{pan}, which leaves a gap of {layout.blind_deg:.4g}° between neighbours, but with an overlap of "
         f"{constraints.overlap_h:.0%} images at the horizon may be at most {widest:.4g}° apart "
         f"({layout.blind_deg - widest:.3g}° too much): ask for an azimuth sector within the pan "
         "range, or let the vehicle pan the rest (yaw: auto)"
@@ -116,20 +116,20 @@ def _pitch_limits(camera: Camera, constraints: Constraints, gimbal: GimbalLimits
     lowest = _lowest_reach_deg(_rules(camera, constraints))
     if lowest > band.elevation_min_deg:
         return (
-            f"elevation {band.elevation_min_deg:g}° cannot be covered: with the gimbal's lowest pitch "
-            f"{gimbal.pitch_min_deg:g}° images reach down to {lowest:.2f}° all round, "
+            f"elevation {band.elevation_min_deg:g}° cannot be covered: at the gimbal's lowest pitch "
+            f"{gimbal.pitch_min_deg:g}° images cover all azimuths down to {lowest:.2f}°, "
             f"{lowest - band.elevation_min_deg:.2f}° short"
         )
     highest = RowSearch(_rules(camera, constraints)).highest_reach_deg()
     return (
-        f"elevation {band.elevation_max_deg:g}° cannot be covered: with the gimbal's highest pitch "
-        f"{gimbal.pitch_max_deg:g}° images reach up to {highest:.2f}° all round, "
+        f"elevation {band.elevation_max_deg:g}° cannot be covered: at the gimbal's highest pitch "
+        f"{gimbal.pitch_max_deg:g}° images cover all azimuths up to {highest:.2f}°, "
         f"{max(band.elevation_max_deg - highest, 0.0):.2f}° short"
     )
 
 
 def _lowest_reach_deg(rules: RowConstraints) -> float:
-    """Down to which elevation rows cover all round, 90 where no row closes."""
+    """Lowest elevation that rows cover at all azimuths, 90 if no row is closed."""
     pitch = np.linspace(rules.pitch_deg[0], min(rules.pitch_deg[1], rules.pitch_deg[0] + rules.camera.vfov_deg), _STEPS)
     lowest = 90.0
     for more in range(_COUNTS_TRIED):
@@ -141,11 +141,11 @@ def _lowest_reach_deg(rules: RowConstraints) -> float:
 
 
 def _overlap(camera: Camera, constraints: Constraints) -> str | None:
-    """Overlaps that cannot be had with the tolerances, or for which more images are needed than anybody takes."""
+    """Message if the overlaps are infeasible with the tolerances; None otherwise."""
     easy = replace(constraints, gimbal=None, overlap_h=0.0, overlap_v=0.0, guarantee="coverage")
     if not _feasible(camera, easy):
         return None
-    errors = " whatever the pointing errors" if constraints.guarantee == "all" else ""
+    errors = " for every pointing error" if constraints.guarantee == "all" else ""
     for name, value, changed in (
         ("horizontal", constraints.overlap_h, replace(constraints, gimbal=None, overlap_h=0.0)),
         ("vertical", constraints.overlap_v, replace(constraints, gimbal=None, overlap_v=0.0)),
@@ -157,10 +157,10 @@ def _overlap(camera: Camera, constraints: Constraints) -> str | None:
             break
         most = _most_overlap(camera, constraints, name)
         return (
-            f"a {name} overlap of {value:.3g}{errors} cannot be had with these tolerances: "
-            f"at most about {most:.2g} can, {value - most:.2g} less"
+            f"a {name} overlap of {value:.3g}{errors} is infeasible with these tolerances: "
+            f"the maximum is about {most:.2g}, {value - most:.2g} less"
         )
-    return f"overlaps of {constraints.overlap_h:g} and {constraints.overlap_v:g}{errors} cannot both be had"
+    return f"overlaps of {constraints.overlap_h:g} and {constraints.overlap_v:g}{errors} are infeasible together"
 
 
 def _most_overlap(camera: Camera, constraints: Constraints, name: str) -> float:
@@ -188,8 +188,8 @@ def _tolerance(camera: Camera, constraints: Constraints) -> str | None:
         feasible = _feasible(camera, replace(constraints, tolerance=less))
         low, high = (middle, high) if feasible else (low, middle)
     return (
-        f"with tolerances of {_text(t)} no rows of images of {_size(camera)} are sure to "
-        f"close the band: about {low:.0%} of these tolerances would do"
+        f"with tolerances of {_text(t)} no set of rows of images of {_size(camera)} is guaranteed to cover the band: "
+        f"about {low:.0%} of these tolerances would be feasible"
     )
 
 
@@ -202,7 +202,7 @@ def _size(camera: Camera) -> str:
 
 
 def _feasible(camera: Camera, constraints: Constraints) -> bool:
-    return bool(RowSearch(_rules(camera, constraints), width=_WIDTH).ways(patient=False))
+    return bool(RowSearch(_rules(camera, constraints), width=_WIDTH).solutions(retry=False))
 
 
 def _rules(camera: Camera, constraints: Constraints) -> RowConstraints:

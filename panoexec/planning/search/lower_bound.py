@@ -1,16 +1,16 @@
-"""Fewest images that any plan could have, by solid angle: a figure to hold plans against.
+"""Lower bound of the number of images of any plan, by solid angle: a reference value for plans.
 
-Let N images cover the part D of the sphere. Two bounds, of which the larger one counts:
+Let N images cover the part D of the sphere. There are two bounds; the larger one counts:
 
-* **Certain cover.** An image's robust core (what it sees whatever the errors) lies within the image turned by the pitch
-  axis's errors ±τ, and what both extremes see is at most as high as tan(ψ_v/2 - τ). So D takes at least as many images
-  as its solid angle holds such lower images.
-* **Shared parts.** With more than one image, C2 or C3 makes every image share at least the fraction f = min(overlap_h,
-  overlap_v) of its area with others (two images in a row with each other; else with the next row). That part has at
-  least the solid angle s that the image's outermost fraction f has. A direction that m ≥ 2 images see is counted m
-  times in the sum of their solid angles Ω, so m - 1 ≥ m/2 times too often: N·Ω ≥ D + N·s/2.
+* **Guaranteed cover.** An image's robust core (what it sees for every error) is inside the image rotated by the pitch
+  axis's errors ±τ, and the intersection of both extremes has at most the half height tan(ψ_v/2 - τ). So D needs at
+  least its solid angle divided by that of such a reduced image.
+* **Overlap.** With more than one image, C2 or C3 makes every image share at least the fraction f = min(overlap_h,
+  overlap_v) of its area with others (two images in a row with each other; else with the adjacent row). That part has at
+  least the solid angle s of the image's outermost fraction f. A direction that m ≥ 2 images see is counted m times in
+  the sum of their solid angles Ω, so m - 1 ≥ m/2 times too often: N·Ω ≥ D + N·s/2.
 
-Masks are taken off D, each with all of its solid angle inside the band, so overlapping masks only lower the bound.
+Masks are subtracted from D, each with its solid angle inside the band; so overlapping masks only lower the bound.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _RAYS = 400
 
 
 def least_images(camera: Camera, constraints: Constraints) -> int:
-    """No plan for these constraints can have fewer images."""
+    """Lower bound of the number of images of a plan for these constraints."""
     domain = domain_sr(constraints)
     core = _pyramid_sr(camera.half_width, _lowered(camera, constraints.tolerance.pitch_deg))
     certain = math.ceil(domain / core - 1e-9) if core > 0 else 1
@@ -35,14 +35,14 @@ def least_images(camera: Camera, constraints: Constraints) -> int:
         return 1
     least_overlap = min(constraints.overlap_h, constraints.overlap_v)
     if constraints.masks:
-        # neighbours with only a mask between them need not overlap, but then C4 wants some other to
+        # neighbours separated by a mask need no overlap, but then C4 requires an overlap with some other image
         least_overlap = min(least_overlap, MUTUAL_OVERLAP)
     shared = _outermost_sr(camera, least_overlap)
     return max(certain, math.ceil(domain / (camera.solid_angle_sr - shared / 2) - 1e-9), 1)
 
 
 def domain_sr(constraints: Constraints) -> float:
-    """At most the solid angle of what needs cover; never more than it has."""
+    """Lower bound of the solid angle of the domain, steradians."""
     band = constraints.band
     whole = _box_sr(band)
     masked = sum(_common_sr(band, mask) for mask in constraints.masks)
@@ -60,12 +60,12 @@ def _pyramid_sr(half_width: float, half_height: float) -> float:
 
 
 def _outermost_sr(camera: Camera, fraction: float) -> float:
-    """Solid angle of the outermost fraction of an image's area: the least that any part of that area can have."""
+    """Solid angle of the outermost fraction of an image's area, the minimum over all parts of that area; steradians."""
     y = (np.arange(_RAYS) + 0.5) / _RAYS * camera.half_width
     z = (np.arange(_RAYS) + 0.5) / _RAYS * camera.half_height
     density = np.sort(((1 + y[:, None] ** 2 + z**2) ** -1.5).ravel())
     cell = camera.half_width * camera.half_height / _RAYS**2
-    # a hair less for the quadrature
+    # slightly reduced for the error of the quadrature
     return float(4 * cell * density[: int(fraction * len(density))].sum()) * (1 - 1e-3)
 
 

@@ -1,13 +1,13 @@
-"""The certified planner: fewest images, then least time, with a certificate or a clear refusal.
+"""The certified planner: it minimises the number of images, then the time, and returns a certified plan or an error.
 
-    plan_certified → variants of what is asked of rows (`_variants`)
+    plan_certified → variants of the demands on rows (`panoexec.planning.search.variants`)
                    → rows by a shortest path (`panoexec.planning.search.row_search`), in ascending number of images
-                   → slack shared out, rows turned (`panoexec.planning.search.row_refinement`)
-                   → the certificate (`panoexec.planning.certificate.verdict`), which has the last word
-                   → images dropped that see masks only (`panoexec.planning.search.thinning`), order, estimate, bound
+                   → slack distributed, rows rotated (`panoexec.planning.search.row_refinement`)
+                   → the certificate (`panoexec.planning.certificate.verdict`), which decides
+                   → images that see only masks dropped (`panoexec.planning.search.thinning`); order, estimate, bound
 
-C1 to C3 are what the search is built on. C4 mostly follows; where it does not (no overlap asked for, large tolerances,
-a single row or column, which is a chain that breaks at any link) the search is run again with more asked of the rows.
+The search includes C1 to C3. C4 mostly follows; where it does not (no overlap requested, large tolerances, a single row
+or column, which is a chain in which every edge is a bridge) the search is repeated with stronger demands on the rows.
 """
 
 from __future__ import annotations
@@ -26,59 +26,59 @@ from panoexec.planning.model import Certificate, Constraints, GimbalLimits, Plan
 from panoexec.planning.order.duration import estimate
 from panoexec.planning.order.shot_order import Order, order_shots
 from panoexec.planning.request import MAX_IMAGES, check_request
-from panoexec.planning.search.infeasible import nothing_to_cover, refusal, tolerance_eats_image, too_dense
+from panoexec.planning.search.infeasible import empty_cores, excessive_overlap, infeasibility_error, nothing_to_cover
 from panoexec.planning.search.lower_bound import least_images
 from panoexec.planning.search.row_constraints import RowConstraints
 from panoexec.planning.search.row_refinement import Rows, refine
-from panoexec.planning.search.row_seam import with_best_seam
+from panoexec.planning.search.row_seam import optimise_seam
 from panoexec.planning.search.row_search import Label, RowSearch
-from panoexec.planning.search.thinning import narrowed, thinned
+from panoexec.planning.search.thinning import drop_redundant_shots, trim_band
 from panoexec.planning.search.variants import variants
 
 _LABELS_TRIED = 3
-"""So many ways of one total are tried before a larger total is."""
+"""Number of solutions of one total that are certified before a larger total is tried."""
 
 _MOST_TRIED, _MOST_TRIED_MANY = 9, 1
 _ROUNDS = 4
 _FACTOR = 4.0
 _UNKNOWN = 0.02
-"""So many searches, each for rows with so many times the margin of the last, where C1 or C3 fails."""
+"""Maximum number of repeated searches where C1 or C3 fails; each increases the margin by this factor."""
 
 _WORK, _LEAST_WORK = 6, 600
-"""So many times the images of a plan, and no fewer than so many, are judged at the most."""
+"""Budget of certified images per search: this multiple of the plan's images, and at least this number."""
 
 _LOOSE_TRIED = 6
-"""After so many plans that only C4 keeps from being certified, more is asked of the rows."""
+"""Number of plans that fail only C4 after which stronger demands are tried."""
 
 _RETRIES = 2
 _MARGIN_MANY = 6e-4
-"""Margin asked for in plans of very many rows: there the certificate, not a row more, is what costs time."""
+"""Margin for plans of very many rows, where certification dominates the run time and not an additional row."""
 
 _DECIMALS = 7
-"""Of pitch and yaw in a plan, degrees."""
+"""Digits of pitch and yaw in a plan, degrees."""
 
 
 def plan_certified(
     camera: Camera, constraints: Constraints, *, timing: Timing | None = None, order: Order | None = "fastest"
 ) -> Plan:
-    """The plan with the fewest images found, certified, in shooting order.
+    """The certified plan with the fewest images found, in shooting order.
 
     Args:
         camera: the camera.
-        constraints: what the plan has to satisfy.
-        timing: what a shot costs besides the slew.
-        order: of shooting; None for the fastest.
+        constraints: the constraints to satisfy.
+        timing: settle time, exposure time and camera interval.
+        order: order of the shots; None for the fastest.
 
     Returns:
-        A certified plan; or, where only the certificate cannot be had, the best one found, with `certified` False and
-        the reasons in its certificate.
+        A certified plan; or, if only certification fails, the best plan found, with `certified` False and the reasons
+        in its certificate.
 
     Raises:
-        PlanningError: nothing can be planned; the message names the constraint and by how much it fails.
+        PlanningError: the request is infeasible; the message names the constraint and by how much it fails.
     """
     check_request(camera, constraints)
-    hopeless = nothing_to_cover(constraints) or too_dense(camera, constraints)
-    hopeless = hopeless or tolerance_eats_image(camera, constraints)
+    hopeless = nothing_to_cover(constraints) or excessive_overlap(camera, constraints)
+    hopeless = hopeless or empty_cores(camera, constraints)
     if hopeless:
         raise PlanningError(hopeless)
     found = _Planner(camera, constraints).best()
@@ -94,11 +94,11 @@ def plan_certified(
     )
     if not found.certificate.certified:
         return replace(plan, certificate=certify(plan))
-    return replace(plan, certificate=_renamed(found, shots))
+    return replace(plan, certificate=_reindexed(found, shots))
 
 
-def _renamed(found: _Found, shots: Sequence[Shot]) -> Certificate:
-    """The certificate of shots that were put into another order."""
+def _reindexed(found: _Found, shots: Sequence[Shot]) -> Certificate:
+    """The certificate with image numbers adapted to a new order of the shots."""
     place = {(shot.row, shot.yaw_deg): shot.index for shot in shots}
     name = [place[shot.row, shot.yaw_deg] for shot in found.shots]
     pair, image = found.certificate.weakest_h, found.certificate.weakest_v
@@ -111,14 +111,14 @@ def _renamed(found: _Found, shots: Sequence[Shot]) -> Certificate:
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    """Shots with their verdict, row by row."""
+    """Shots, row by row, with their certificate."""
 
     shots: tuple[Shot, ...]
     certificate: Certificate
 
     @property
     def rank(self) -> tuple[int, int]:
-        """Lower is better: certified ones by images, others by what fails."""
+        """Sort key, lower is better: certified plans by images, others by the number of failed conditions."""
         certificate = self.certificate
         return (0 if certificate.certified else 1 + len(certificate.failures), certificate.images)
 
@@ -127,7 +127,7 @@ class _Planner:
     def __init__(self, camera: Camera, constraints: Constraints) -> None:
         self._camera = camera
         self._asked = constraints
-        self._constraints = narrowed(constraints)
+        self._constraints = trim_band(constraints)
         self._best: _Found | None = None
         self._spent = 0
 
@@ -139,23 +139,23 @@ class _Planner:
         """
         group, closes = 0, False
         for variant in variants(self._camera, self._constraints):
-            if (self._best_images is not None and variant.group > group) or self._exhausted:
+            if (self._best_images is not None and variant.group > group) or self._budget_spent:
                 break
             group = variant.group
             some = self._try(RowConstraints(self._camera, self._constraints, variant.demands, variant.loss))
             closes = closes or some
             if not closes and group == 1:
-                break  # all other variants ask for more
+                break  # all other variants have stronger demands
         if self._best is None:
-            raise refusal(self._camera, self._constraints)
+            raise infeasibility_error(self._camera, self._constraints)
         if self._asked.masks and self._best.certificate.certified:
-            shots = thinned(self._camera, self._asked, self._best.shots)
+            shots = drop_redundant_shots(self._camera, self._asked, self._best.shots)
             return _Found(shots, _verdict(self._camera, self._asked, shots))
         return self._best
 
     def _try(self, rules: RowConstraints) -> bool:
-        """Look for a certified plan with fewer images than the best one so far; tells whether rows close the band."""
-        rules = with_best_seam(rules)
+        """Search a certified plan with fewer images than the best so far; return whether any rows cover the band."""
+        rules = optimise_seam(rules)
         margin = _MARGIN_MANY if rules.many else 0.0
         closes = False
         for _ in range(_ROUNDS):
@@ -164,74 +164,74 @@ class _Planner:
                 break
             if search.least_images > MAX_IMAGES:
                 raise PlanningError(
-                    f"at least {search.least_images} images are needed, more than the {MAX_IMAGES} that panoexec "
-                    "plans: ask for less overlap, a smaller band or a shorter focal length"
+                    f"the plan needs at least {search.least_images} images, more than the limit of {MAX_IMAGES}: "
+                    "ask for less overlap, a smaller band or a shorter focal length"
                 )
-            ways = search.ways()
-            closes = closes or bool(ways)
-            lacking = self._try_ways(rules, ways, margin)
-            if lacking is None:
+            solutions = search.solutions()
+            closes = closes or bool(solutions)
+            missing = self._try_solutions(rules, solutions, margin)
+            if missing is None:
                 break
-            # rows of other numbers, with what these lacked
-            margin = max(margin + lacking, _FACTOR * margin)
+            # search again, with the missing margin added: other counts may result
+            margin = max(margin + missing, _FACTOR * margin)
         return closes
 
-    def _try_ways(self, rules: RowConstraints, ways: Sequence[Label], margin: float) -> float | None:
-        """Judge ways; tells what those lack that only C1 or C3 keeps from being certified, None if that is not it."""
+    def _try_solutions(self, rules: RowConstraints, solutions: Sequence[Label], margin: float) -> float | None:
+        """Certify solutions; return the margin missing for C1 or C3 if nothing else fails, else None."""
         tried = loose = 0
-        lacking: list[float] = []
-        for label in _some_of_each_total(ways):
+        missing: list[float] = []
+        for label in _first_of_each_total(solutions):
             if self._best_images is not None and label.images >= self._best_images:
                 return None
-            found = self._judged_label(rules, label, margin)
+            found = self._certify_label(rules, label, margin)
             if found is None:
                 continue
             if self._best is None or found.rank < self._best.rank:
                 self._best = found
-            if found.certificate.certified or self._exhausted:
+            if found.certificate.certified or self._budget_spent:
                 return None
-            lack = _lacking(found.certificate, self._constraints)
-            lacking += [] if lack is None else [lack]
+            lack = _missing_margin(found.certificate, self._constraints)
+            missing += [] if lack is None else [lack]
             tried += 1
             loose += not found.certificate.two_edge_connected
             if not found.certificate.connected:
                 loose += _LOOSE_TRIED // (1 if rules.many else 2)
             if loose >= _LOOSE_TRIED or tried >= (_MOST_TRIED_MANY if rules.many else _MOST_TRIED):
                 break
-        return min(lacking, default=None)
+        return min(missing, default=None)
 
     @property
     def _best_images(self) -> int | None:
-        """Images of the best certified plan so far."""
+        """Number of images of the best certified plan so far."""
         return len(self._best.shots) if self._best is not None and self._best.certificate.certified else None
 
     @property
-    def _exhausted(self) -> bool:
-        """Whether as much was judged as a plan is worth."""
+    def _budget_spent(self) -> bool:
+        """Whether the budget of certified images is used up."""
         return self._best is not None and self._spent > _WORK * max(_LEAST_WORK, len(self._best.shots))
 
-    def _judged_label(self, rules: RowConstraints, label: Label, margin: float) -> _Found | None:
-        """Rows of a label's counts with their verdict; None where they do not reach the top of the band."""
+    def _certify_label(self, rules: RowConstraints, label: Label, margin: float) -> _Found | None:
+        """Refine and certify the rows of a label; None if they do not reach the top of the band."""
         found: _Found | None = None
         for _ in range(1 + _RETRIES):
             rows = refine(rules, label.path(), margin)
             if rows is None:
                 break
-            found = self._judged(rules, rows)
-            lacking = None if found.certificate.certified else _lacking(found.certificate, self._constraints)
-            if lacking is None:
+            found = self._certify(rules, rows)
+            missing = None if found.certificate.certified else _missing_margin(found.certificate, self._constraints)
+            if missing is None:
                 break
-            margin = rows.margin + lacking
+            margin = rows.margin + missing
         return found
 
-    def _judged(self, rules: RowConstraints, rows: Rows) -> _Found:
+    def _certify(self, rules: RowConstraints, rows: Rows) -> _Found:
         shots = row_shots(rules, rows)
         self._spent += len(shots)
         return _Found(shots, _verdict(self._camera, self._constraints, shots))
 
 
-def _some_of_each_total(ways: Sequence[Label]) -> Iterator[Label]:
-    for _, group in itertools.groupby(ways, key=lambda label: label.images):
+def _first_of_each_total(solutions: Sequence[Label]) -> Iterator[Label]:
+    for _, group in itertools.groupby(solutions, key=lambda label: label.images):
         yield from itertools.islice(group, _LABELS_TRIED)
 
 
@@ -250,13 +250,13 @@ def row_shots(rules: RowConstraints, rows: Rows) -> tuple[Shot, ...]:
     return tuple(shots)
 
 
-def _lacking(certificate: Certificate, constraints: Constraints) -> float | None:
-    """The margin by which rows that are all but certified fall short of C1 or C3; None if more is wrong."""
+def _missing_margin(certificate: Certificate, constraints: Constraints) -> float | None:
+    """The margin missing for C1 or C3, if the rows are close to certified; None if more fails."""
     least = certificate.worst_overlap_v if constraints.guarantee == "all" else certificate.min_overlap_v
-    lacking = 0.0 if least is None else constraints.overlap_v - least
-    if lacking > 0.05 or not certificate.two_edge_connected:
+    missing = 0.0 if least is None else constraints.overlap_v - least
+    if missing > 0.05 or not certificate.two_edge_connected:
         return None
-    if lacking > 0:
-        # less than nothing in common counts as nothing, so what is lacking there is not known
-        return lacking + 2e-4 if least else max(lacking, _UNKNOWN)
+    if missing > 0:
+        # overlaps are clamped at 0, so there the missing margin is unknown
+        return missing + 2e-4 if least else max(missing, _UNKNOWN)
     return 2e-3 if certificate.uncovered_fraction > 0 else None

@@ -1,4 +1,4 @@
-"""What rows have to satisfy, in one place: the band, the gimbal's limits, C2 in a row, C1 and C3 between rows."""
+"""The constraints on rows, in one place: band, gimbal limits, C2 within a row, C1 and C3 between rows."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from panoexec.planning.search.row_spacing import NeighbourDemand, NeighbourSpaci
 Zone = tuple[float, float]
 
 Loss = Callable[[FloatArray], FloatArray]
-"""What errors may take from the overlap of images of pitch (k,) with the next row, fractions of an image."""
+"""Largest loss by pointing errors of the overlap with the adjacent row, for images at pitch (k,): fractions (k,)."""
 
 _CANDIDATES = 81
 _NARROWING = 24
 _TURNED = 60
 _MOST_TURNED = 60
-"""Up to so many images are checked for being turned too far against each other about a pole."""
+"""Up to this number of images, rows near a pole are checked for excessive rotation between neighbours."""
 
 _STEEP_DEG = 45.0
 _MANY = 40
@@ -36,14 +36,14 @@ _TURN_NODES = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demands:
-    """What is asked of rows besides coverage.
+    """Demands on rows in addition to coverage.
 
     Attributes:
-        neighbours: in a row.
-        planned_v: overlap with the next row at the planned poses.
-        worst_v: likewise whatever the errors; 0 for nothing.
-        least_count: images in a row.
-        least_rows: rows.
+        neighbours: overlap within a row.
+        planned_v: overlap with the adjacent row at the planned poses.
+        worst_v: overlap with the adjacent row for every error; 0 for none.
+        least_count: minimum number of images in a row.
+        least_rows: minimum number of rows.
     """
 
     neighbours: NeighbourDemand
@@ -54,15 +54,15 @@ class Demands:
 
 
 class RowConstraints:
-    """The rules for the rows of one plan.
+    """The constraints on the rows of one plan.
 
     Attributes:
         camera: the camera.
-        demands: what is asked of rows besides coverage.
-        pitch_deg: lowest and highest pitch that rows may have.
+        demands: demands in addition to coverage.
+        pitch_deg: lowest and highest pitch of rows.
         band_deg: lowest and highest elevation to cover.
-        layout: how the images of a row lie.
-        margin: by how much pairs of rows satisfy C1 and C3.
+        layout: the yaws of the images of a row.
+        margin: the margin by which pairs of rows satisfy C1 and C3.
     """
 
     def __init__(self, camera: Camera, constraints: Constraints, demands: Demands, loss: Loss | None = None) -> None:
@@ -80,16 +80,16 @@ class RowConstraints:
 
     @property
     def overlap_v(self) -> float:
-        """What C3 asks for at the least."""
+        """Minimum overlap with the adjacent row that C3 demands."""
         return max(self.demands.planned_v, self.demands.worst_v)
 
     @cached_property
     def many(self) -> bool:
-        """Whether one image more or less in a row hardly changes how high the next row can stand."""
+        """Whether rows have so many images that one more or less hardly changes the pitch of the next row."""
         return int(self.fewest(np.zeros(1))[0]) >= _MANY
 
     def pairs(self, low_deg: FloatArray, low_count: IntArray, high_count: IntArray) -> Pairs:
-        """Pairs of rows with what C3 demands of them; the pitch of the higher rows is left open."""
+        """Pairs of rows with their C3 demands; the pitch of the higher rows is not set."""
         return Pairs(
             low_deg=low_deg,
             low_count=low_count,
@@ -107,19 +107,19 @@ class RowConstraints:
         return np.asarray(np.maximum(planned, self.demands.worst_v + loss))
 
     def with_seam(self, seam: float) -> RowConstraints:
-        """The same with another demand on what neighbours both see of the meridian between them."""
+        """A copy with another demand on the seam: the part of the meridian between neighbours that both see."""
         demands = replace(self.demands, neighbours=replace(self.demands.neighbours, seam=seam))
         return RowConstraints(self.camera, self._constraints, demands, self._loss)
 
     def band(self, pitch_deg: FloatArray, count: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Elevations that rows cover all round, whatever the errors: lowest and highest, each (k,)."""
+        """Lowest and highest elevation that rows cover at all azimuths for every error, each (k,)."""
         spacing, reach = self.layout.spacing_and_reach(pitch_deg, count)
         return self._cover.band(pitch_deg, spacing, reach)
 
     def allowed(self, pitch_deg: FloatArray, count: IntArray) -> NDArray[np.bool_]:
-        """Whether C2 allows rows, (k,)."""
+        """Whether C2 permits rows, (k,)."""
         if not self.layout.closed:
-            # as far apart as the layout puts them, images may be turned too far against each other about a pole
+            # images at the spacing of the layout may be rotated too far against each other near a pole
             spacing, _ = self.layout.spacing_and_reach(pitch_deg, count)
             out = (count == 1) & (count >= self.demands.least_count)
             several = np.nonzero((count > 1) & (count >= self.demands.least_count) & (spacing > 0))[0]
@@ -133,7 +133,7 @@ class RowConstraints:
         return out
 
     def _zones(self, count: int) -> list[Zone]:
-        """Ranges of pitch in which C2 allows a count, the upper one first."""
+        """Ranges of pitch in which C2 permits a count, the upper one first."""
         if count < self.demands.least_count:
             return []
         if not self.layout.closed:
@@ -146,9 +146,9 @@ class RowConstraints:
         return [*reversed(steep), *((-high, -low) for low, high in steep)]
 
     def _steep_zones(self, count: int, limit_deg: float) -> list[Zone]:
-        """Ranges of |pitch| from a limit on in which C2 allows a count of a few images.
+        """Ranges of |pitch| above a limit in which C2 permits a count of a few images.
 
-        About a pole they are turned against each other by so much that long images may share less than further out.
+        Near a pole they are rotated against each other so much that long images may overlap less than further out.
         """
         spacing = float(self.layout.closing_spacing_deg(np.array([count]))[0])
         steep = np.union1d(np.linspace(limit_deg, 90.0, _ZONE_NODES), limit_deg)
@@ -165,14 +165,14 @@ class RowConstraints:
         return zones
 
     def zone_of(self, pitch_deg: float, count: int) -> Zone:
-        """The range of pitches in which C2 allows a count that holds the given pitch, within the gimbal's."""
+        """The range of pitches around a given one in which C2 permits a count, within the gimbal's limits."""
         for low, high in self.zones(count):
             if low - 1e-9 <= pitch_deg <= high + 1e-9:
                 return max(low, self.pitch_deg[0]), min(high, self.pitch_deg[1])
         return pitch_deg, pitch_deg
 
     def fewest(self, pitch_deg: FloatArray) -> IntArray:
-        """Fewest images that C2 alone asks for at pitches (k,)."""
+        """Minimum number of images by C2 alone at pitches (k,)."""
         least = self.demands.least_count
         if not self.layout.closed:
             widest = np.maximum(self._spacing.widest(pitch_deg), 1e-3)
@@ -182,13 +182,13 @@ class RowConstraints:
             nodes, fewest = self._fewest_turned
             index = np.minimum(np.searchsorted(nodes, np.abs(pitch_deg)), len(nodes) - 1)
             return np.asarray(np.where(np.abs(pitch_deg) >= 90.0, least, np.maximum(fewest[index], least)))
-        # the least steepness falls as the count grows: the first count whose one is not above the steepness
+        # the minimum |pitch| decreases with the count: take the first count whose minimum is not above |pitch|
         ascending = self._least_steep[::-1]
         position = np.searchsorted(ascending, np.abs(pitch_deg), side="right")
         return np.asarray(np.clip(np.where(np.abs(pitch_deg) >= 90.0, 1, most + 1 - position), least, most))
 
     def counts_between(self, start_deg: float, stop_deg: float) -> tuple[int, int]:
-        """Fewest and most images that C2 alone asks for between two pitches."""
+        """Smallest and largest minimum number of images by C2 alone, over the pitches between two limits."""
         pitches = np.linspace(start_deg, stop_deg, 9)
         if start_deg < 0 < stop_deg:
             pitches = np.append(pitches, 0.0)
@@ -200,7 +200,7 @@ class RowConstraints:
 
     @cached_property
     def _fewest_turned(self) -> tuple[FloatArray, IntArray]:
-        """Fewest images that C2 allows by |pitch|, where more are needed towards a pole than further out."""
+        """Minimum number of images by C2, by |pitch|, where more are needed near a pole than further out."""
         nodes = np.linspace(0.0, 90.0, 361)
         fewest = np.full(len(nodes), self._most_turned, dtype=np.intp)
         for count in range(self._most_turned, 1, -1):
@@ -210,7 +210,7 @@ class RowConstraints:
 
     @cached_property
     def _turns_too_far(self) -> bool:
-        """Whether C2 forbids some count towards a pole that it allows further out."""
+        """Whether C2 forbids some count near a pole that it permits further out."""
         counts = np.arange(2, min(len(self._least_steep), _TURNED + 1))
         spacing = self.layout.closing_spacing_deg(counts)
         limit = self._least_steep[counts]
@@ -221,7 +221,7 @@ class RowConstraints:
 
     @cached_property
     def _most_turned(self) -> int:
-        """Fewest images that C2 allows at any pitch at all; more than at the horizon for long images."""
+        """Smallest count that C2 permits at every pitch; larger than that of the horizon for long images."""
         if not self._turns_too_far:
             return len(self._least_steep) - 1
         steep = np.linspace(0.0, 89.9, _ZONE_NODES)
@@ -234,7 +234,7 @@ class RowConstraints:
 
     @cached_property
     def _least_steep(self) -> FloatArray:
-        """For each count of images of a closed row, the least |pitch| at which C2 allows it; never rising."""
+        """For each count of images of a closed row, the minimum |pitch| at which C2 permits it; non-increasing."""
         most = self._spacing.most_images(360.0 - self.layout.blind_deg) + (1 if self.layout.blind_deg else 0)
         counts = np.arange(2, max(most, 2) + 1)
         steep = self._spacing.least_steep_deg(self.layout.closing_spacing_deg(counts))
@@ -245,7 +245,7 @@ class RowConstraints:
 
     @cached_property
     def blind_limit_deg(self) -> float:
-        """The least |pitch| at which neighbours can bridge what the gimbal cannot pan to."""
+        """The minimum |pitch| at which neighbours overlap enough across the yaws that the gimbal cannot reach."""
         return float(self._spacing.least_steep_deg(np.array([self.layout.blind_deg]))[0])
 
     def widest(self, pitch_deg: FloatArray) -> FloatArray:
@@ -253,7 +253,7 @@ class RowConstraints:
         return self._spacing.widest(pitch_deg)
 
     def first_rows(self, more_images: int) -> tuple[FloatArray, IntArray]:
-        """Rows that cover from the band's lower end: for each count the highest pitch, (k,) each."""
+        """Candidates for the first row, which covers the band's lower end: highest pitch and count, (k,) each."""
         low, height = self.band_deg[0], self.camera.vfov_deg
         bottom, top = self.pitch_deg
         candidates = np.linspace(max(bottom, min(top, low - height)), max(bottom, min(top, low + height)), _CANDIDATES)

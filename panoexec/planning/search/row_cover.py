@@ -1,11 +1,11 @@
-"""What a row of images covers for certain on every meridian: the search's fast view of coverage (C1).
+"""Guaranteed coverage of a row of images on every meridian: the search's fast approximation of C1.
 
-On the meridian at azimuth φ from an image's own, each of its edge planes with normal n leaves the directions with
+On the meridian at azimuth φ from an image's own, each of its edge planes with normal n contains the directions with
 n_x·cos φ + n_y·sin φ ≥ n_z·tan e: an interval of elevations e. The intersection over the corners of the box of pointing
-errors, and over yaw errors of 0, is what the image covers for certain, up to the square of the tolerances (an allowance
-for which is taken off). A row of evenly spaced images covers on each meridian the union of what the nearest images do.
+errors, and over yaw errors of 0, is the guaranteed coverage of the image, up to the square of the tolerances (for which
+an allowance is subtracted). A row of evenly spaced images covers on each meridian the union over the nearest images.
 
-The certificate proves coverage with other means (`planning.certificate.coverage`); this only steers the search.
+The certificate proves coverage by another method (`planning.certificate.coverage`); this one only guides the search.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from panoexec.planning.geometry.footprint import edge_normals
 from panoexec.planning.model import Tolerance
 
 ROUNDING_DEG = 1e-5
-"""Taken off every interval's ends: the certificate does not accept images that merely touch."""
+"""Subtracted at both ends of every interval: the certificate does not accept images that merely touch."""
 
 _LEVEL = 1e-12
 
 
 class CoreEdges:
-    """The edge planes of images under the extreme pointing errors.
+    """The edge planes of images at the corners of the error box.
 
     Attributes:
-        allowance_deg: taken off both ends of every interval of elevations.
+        allowance_deg: subtracted at both ends of every interval of elevations.
     """
 
     def __init__(self, camera: Camera, tolerance: Tolerance) -> None:
@@ -51,15 +51,15 @@ class CoreEdges:
         return np.asarray(planes.reshape(*pitch.shape[:-1], 4 * len(self._errors), 3))
 
     def intervals(self, pitch_deg: ArrayLike, azimuth_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Elevations that images cover for certain on meridians.
+        """Elevations on meridians that images cover for every error.
 
         Args:
             pitch_deg: (...), of images at yaw 0.
             azimuth_deg: (..., m) azimuths of meridians for each image.
 
         Returns:
-            Lowest and highest elevation, each (..., m), degrees; lowest > highest where nothing is covered. An end at
-            ±90 may be exactly that.
+            Lowest and highest elevation, each (..., m), degrees; lowest > highest where nothing is covered. A pole is
+            returned as exactly ±90.
         """
         return meridian_intervals(self.planes(pitch_deg), azimuth_deg, self.allowance_deg)
 
@@ -67,7 +67,7 @@ class CoreEdges:
 def meridian_intervals(
     planes: FloatArray, azimuth_deg: ArrayLike, allowance_deg: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Intervals (..., m) of elevations that half-spaces (..., k, 3) leave of meridians (..., m), see the module."""
+    """Intervals (..., m) of elevations on meridians (..., m) inside half-spaces (..., k, 3), see the module."""
     azimuth = np.radians(np.asarray(azimuth_deg, dtype=np.float64))[..., None, :]
     level = planes[..., 0, None] * np.cos(azimuth) + planes[..., 1, None] * np.sin(azimuth)
     steep = planes[..., 2, None]
@@ -76,7 +76,7 @@ def meridian_intervals(
     lower = np.where(steep < -_LEVEL, slope, -np.inf)
     high = np.degrees(np.arctan(upper.min(axis=-2)))
     low = np.degrees(np.arctan(lower.max(axis=-2)))
-    # a pole is covered where it is deep enough inside all edge planes, and then to the end
+    # a pole is covered if it is deep enough inside all edge planes; the interval then includes it
     deep = np.sin(np.radians(allowance_deg))
     nadir, zenith = planes[..., 2].min(axis=-1)[..., None] >= deep, planes[..., 2].max(axis=-1)[..., None] <= -deep
     return np.where((low <= -90.0) & nadir, low, low + allowance_deg), np.where(
@@ -85,15 +85,15 @@ def meridian_intervals(
 
 
 class RowCover:
-    """What rows of images cover all round, for any phase, and on each meridian."""
+    """Coverage of rows at all azimuths for any phase, and on each meridian."""
 
     def __init__(self, camera: Camera, tolerance: Tolerance) -> None:
         self.edges = CoreEdges(camera, tolerance)
         self._dense_deg = camera.hfov_deg / 2
-        """Where the neighbours of neighbours overlap, they may cover what the nearest image does not."""
+        """Below this spacing second neighbours overlap and may cover more than the nearest image does."""
 
     def band(self, pitch_deg: ArrayLike, spacing_deg: ArrayLike, reach_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Elevations that rows cover at every azimuth.
+        """Elevations that rows cover at every azimuth, for every error.
 
         Args:
             pitch_deg: (k,).
@@ -113,7 +113,7 @@ class RowCover:
     ) -> tuple[FloatArray, FloatArray]:
         """Elevations that rows cover on meridians near one of their images.
 
-        The image at yaw 0 and its neighbours count as far as they join on to the image's own interval.
+        The intervals of the neighbours are added as far as they overlap the interval of the image at yaw 0.
 
         Args:
             pitch_deg: (...).

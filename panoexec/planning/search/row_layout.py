@@ -1,4 +1,4 @@
-"""Where the images of one row stand: all round, around what the gimbal cannot pan to, or over a sector."""
+"""Yaws of the images of one row: over the full circle, around yaws that the gimbal cannot reach, or over a sector."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from panoexec.planning.model import Constraints, GimbalLimits
 IntArray = NDArray[np.intp]
 
 Widest = Callable[[FloatArray], FloatArray]
-"""The widest spacing of neighbours allowed at pitches (k,), degrees."""
+"""The widest permitted spacing of neighbours at pitches (k,), degrees."""
 
 _HAIR_DEG = 1e-9
 _NO_REACH_DEG = 181.0
 
 
 class RowLayout:
-    """How many images of a row stand how far apart, and where.
+    """Number, spacing and yaws of the images of a row.
 
-    The gimbal's pan range leaves a *blind* arc of yaws. Where it lies inside the band's azimuths, two neighbours stand
-    at its ends, or further apart, and bridge it; where it cuts off an end of a sector, the outer image stands at its
+    The gimbal's pan range leaves a *blind* arc of yaws. If it is inside the band's azimuths, two neighbours are at its
+    ends, or further apart, and must overlap across it; if it cuts off an end of a sector, the outer image is at its
     edge.
 
     Attributes:
-        closed: whether rows close on themselves (the band is a full circle).
-        span_deg: of the band in azimuth.
-        blind_deg: of the blind arc as far as it lies inside the band's azimuths; 0 for none.
+        closed: whether rows are closed (the band is a full circle).
+        span_deg: azimuth span of the band.
+        blind_deg: width of the blind arc inside the band's azimuths; 0 for none.
     """
 
     def __init__(self, constraints: Constraints, widest: Widest) -> None:
@@ -47,21 +47,21 @@ class RowLayout:
 
     @property
     def is_even(self) -> bool:
-        """Whether rows are evenly spaced and free to turn."""
+        """Whether rows are evenly spaced and may have any phase."""
         return self.closed and self.blind_deg == 0
 
     @property
     def reachable(self) -> bool:
-        """Whether any yaw of the band's azimuths can be had."""
+        """Whether the gimbal reaches any yaw of the band's azimuths."""
         return self._left_deg < self.span_deg
 
     def closing_spacing_deg(self, count: IntArray) -> FloatArray:
-        """The widest spacing (k,) of closed rows of (k,) images that the gimbal can pan to, the blind arc left out."""
+        """Spacing (k,) of neighbours in closed rows of (k,) images, not counting the pair across the blind arc."""
         even = 360.0 / count
         return np.where(even >= self.blind_deg, even, (360.0 - self.blind_deg) / np.maximum(count - 1, 1))
 
     def spacing_and_reach(self, pitch_deg: FloatArray, count: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Widest yaw between neighbours and largest azimuth to be covered from the nearest image's own, each (k,)."""
+        """Widest spacing of neighbours, and largest azimuth between a covered direction and its nearest image: (k,)."""
         if self.closed:
             spacing = np.maximum(360.0 / count, np.where(count > 1, self.blind_deg, 0.0))
             return spacing, np.where((count == 1) | (self.blind_deg == 0), 180.0 / count, spacing / 2)
@@ -80,7 +80,7 @@ class RowLayout:
         return spacing, np.maximum(np.maximum(left, right), spacing / 2)
 
     def yaws_deg(self, pitch_deg: float, count: int, phase_deg: float) -> FloatArray:
-        """The yaws (count,) of a row, clockwise, in [-180, 180); the phase turns rows that are free to turn."""
+        """The yaws (count,) of a row, clockwise, in [-180, 180); the phase rotates rows that may have any phase."""
         steps = np.arange(count)
         if self.closed:
             return wrap_180(self._closed_yaws(count, phase_deg))
@@ -102,7 +102,7 @@ class RowLayout:
         return np.asarray(start + (gap - self.blind_deg) / 2 + steps * (360.0 - gap) / (count - 1))
 
     def _sector(self, pitch_deg: FloatArray, count: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Spacing and the distances of the outer images from the sector's ends, each (k,)."""
+        """Spacing, and distances of the outer images from the sector's two ends, each (k,)."""
         spacing = np.where(count > 1, np.minimum(self._widest(pitch_deg), self.span_deg / count), 0.0)
         margin = (self.span_deg - (count - 1) * spacing) / 2
         left, right = np.maximum(margin, self._left_deg), np.maximum(margin, self._right_deg)
@@ -112,12 +112,12 @@ class RowLayout:
         return np.where(alone, 0.0, between / np.maximum(count - 1, 1)), left, right
 
     def _alone(self, side: int) -> float:
-        """Distance of a single image from an end of the sector: in the middle, or as near to it as the gimbal goes."""
+        """Distance of a single image from an end of the sector: in the middle, or as near to it as possible."""
         yaw = min(max(self.span_deg / 2, self._left_deg), max(self.span_deg - self._right_deg, self._left_deg))
         return yaw if side < 0 else self.span_deg - yaw
 
     def _meet_sector(self) -> None:
-        """Tell what of the blind arc cuts off the sector's ends from what lies inside it."""
+        """Split the blind arc into the parts that cut off the sector's ends and the part inside it."""
         start = (self._blind_from_deg - self._start_deg) % 360.0
         stop = start + self.blind_deg
         inside = 0.0
@@ -152,18 +152,18 @@ class RowLayout:
         return np.concatenate([from_left, from_right])
 
     def _parts_deg(self) -> tuple[float, float]:
-        """The sector's azimuths before and after the blind arc."""
+        """Widths of the sector before and after the blind arc, degrees."""
         left = (self._blind_from_deg - self._start_deg) % 360.0
         return left, self.span_deg - left - self.blind_deg
 
     def _counts_beside(self, spacing_deg: float) -> tuple[int, int]:
-        """Images before and after the blind arc that a spacing takes, the first ones at its ends."""
+        """Numbers of images before and after the blind arc at a spacing, with one image at each of its ends."""
         before, after = (1 + int(np.ceil(max(part / spacing_deg - 0.5, 0.0) - 1e-9)) for part in self._parts_deg())
         return before, after
 
 
 def _blind_arc(gimbal: GimbalLimits | None) -> tuple[float, float]:
-    """Start and width of the yaws that the gimbal cannot have, degrees; width 0 where it reaches all."""
+    """Start and width of the yaws that the gimbal cannot reach, degrees; width 0 if it reaches all."""
     if gimbal is None or gimbal.turning is not None:
         return 0.0, 0.0
     reach = gimbal.yaw_max_deg - gimbal.yaw_min_deg

@@ -1,17 +1,17 @@
-"""Overlaps of images with the row above or below, exact, and fast enough to ask for by the ten thousand.
+"""Overlap of images with the row above or below: exact, and fast enough for tens of thousands of evaluations.
 
 At one elevation an image covers an interval of azimuths about its own yaw. So among images of one pitch, sorted by yaw,
-those that see a direction follow each other, and what their union sees of another image A has the area
+those that see a given direction are consecutive, and the area of another image A that their union sees is
 
     Σᵢ area(A ∩ Bᵢ) - Σᵢ area(A ∩ Bᵢ ∩ Bᵢ₊₁),
 
-as a direction seen by k of them is counted k times and taken off k - 1 times. Each term is the cut of half-planes, and
-the area of such a cut is by Green's theorem half the sum over its border lines of distance from the origin times
-length, the length being what the other half-planes leave of the line. The far edge of the Bᵢ, which A does not reach,
-is left out. None of this holds about a pole, where images meet again on the far side.
+because a direction seen by k of them is counted k times and subtracted k - 1 times. Each term is an intersection of
+half-planes. By Green's theorem its area is half the sum, over its border lines, of distance from the origin times
+length, where the length is the part of the line inside the other half-planes. The far edge of the Bᵢ, which A does not
+reach, is omitted. This does not hold about a pole, where images overlap again on the far side.
 
-For any row, and faster still where 1e-3 will do, A is cut into narrow columns (at Gauss and Legendre's abscissae): in a
-column every other image is one interval, and the union of intervals is found exactly.
+For any row, and faster if an error of 1e-3 is acceptable, A is cut into narrow columns (at Gauss-Legendre abscissae):
+in a column every other image is one interval, and the union of intervals is computed exactly.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from panoexec.planning.geometry.overlap import pairwise_overlap
 from panoexec.planning.model import Tolerance
 
 _AT_A_TIME = 1 << 15
-"""Pairs of lines looked at together: what stays in the processor's cache."""
+"""Pairs of lines processed at a time, so that they fit the processor's cache."""
 
 _PARALLEL = 1e-12
 
 
 def seen_by_row(camera: Camera, pitch_deg: FloatArray, row_pitch_deg: FloatArray, yaws_deg: FloatArray) -> FloatArray:
-    """Fraction of images that at least one image of the next row, not about a pole, sees.
+    """Fraction of images that at least one image of the adjacent row sees; the row must not be about a pole.
 
     Args:
         camera: the camera of all images.
         pitch_deg: (k,) pitch of the images, at yaw 0.
-        row_pitch_deg: (k,) pitch of the next row, all above or all below the images.
-        yaws_deg: (k, m) yaws of the next row's images relative to the image, ascending; NaN is padding.
+        row_pitch_deg: (k,) pitch of the adjacent row, all above or all below the images.
+        yaws_deg: (k, m) yaws of the adjacent row's images relative to the image, ascending; NaN is padding.
 
     Returns:
         (k,), in [0, 1].
@@ -57,7 +57,7 @@ def seen_by_row(camera: Camera, pitch_deg: FloatArray, row_pitch_deg: FloatArray
 def seen_in_columns(
     camera: Camera, pitch_deg: FloatArray, row_pitch_deg: FloatArray, yaws_deg: FloatArray, columns: int
 ) -> FloatArray:
-    """The same for any row, roughly."""
+    """The same as `seen_by_row` for any row, approximately, with the given number of columns."""
     k, m = yaws_deg.shape
     step = max(1, _AT_A_TIME // (m * columns))
     parts = [
@@ -113,16 +113,16 @@ def _seen(camera: Camera, pitch_deg: FloatArray, row_pitch_deg: FloatArray, yaws
     alone = np.concatenate([other, np.broadcast_to(own, (k, m, 4, 3))], axis=2)
     seen = np.nansum(_area(alone), axis=1)
     if m > 1:
-        # the right edge of the left one, the left edge of the right one, and both near edges
+        # the right edge of the left image, the left edge of the right image, and both near edges
         both = [other[:, :-1, ::2], other[:, 1:, :2], np.broadcast_to(own, (k, m - 1, 4, 3))]
         seen = seen - np.nansum(_area(np.concatenate(both, axis=2)), axis=1)
     return np.asarray(seen)
 
 
 def _area(planes: FloatArray) -> FloatArray:
-    """Areas (...) of cuts of half-planes (..., l, 3), c + a·y + b·z ≥ 0 with a² + b² = 1; NaN for NaN."""
+    """Areas (...) of intersections of half-planes (..., l, 3), c + a·y + b·z ≥ 0 with a² + b² = 1; NaN for NaN."""
     c, a, b = planes[..., 0], planes[..., 1], planes[..., 2]
-    # points of line i: -c·(a, b) + t·(-b, a); half-plane j leaves start + t·slope ≥ 0 of it
+    # points of line i: -c·(a, b) + t·(-b, a); half-plane j contains those with start + t·slope ≥ 0
     slope = b[..., None, :] * a[..., :, None]
     slope -= np.swapaxes(slope, -1, -2)
     start = a[..., None, :] * a[..., :, None]
@@ -135,7 +135,7 @@ def _area(planes: FloatArray) -> FloatArray:
     np.negative(crossing, out=crossing)
     upper = np.where(slope < 0, crossing, np.inf).min(axis=-1)
     lower = np.where(slope > 0, crossing, -np.inf)
-    # a line is parallel to itself, and on its own border: it leaves all of itself
+    # a line is parallel to itself and on its own border: it must not be cut by its own half-plane
     diagonal = np.arange(planes.shape[-2])
     lower[..., diagonal, diagonal] = -np.inf
     length = np.maximum(upper - lower.max(axis=-1), 0.0)
@@ -157,13 +157,13 @@ def _axes(
 def neighbour_overlap(
     camera: Camera, pitch_deg: FloatArray, spacing_deg: FloatArray, tolerance: Tolerance
 ) -> FloatArray:
-    """Overlap of two images of one pitch, the least over all errors within the tolerance; exact where it is 0.
+    """Overlap of two images of one pitch, the minimum over all errors in the tolerance; exact for a tolerance of 0.
 
     Args:
         camera: the camera.
         pitch_deg: (k,).
-        spacing_deg: (k,) yaw from one to the other.
-        tolerance: errors of both.
+        spacing_deg: (k,) yaw difference.
+        tolerance: largest errors of both images.
 
     Returns:
         (k,).

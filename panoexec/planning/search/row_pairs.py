@@ -1,11 +1,11 @@
-"""Two rows that follow each other: whether they close the sphere between them (C1) and share enough (C3).
+"""Pairs of adjacent rows: whether they close the sphere between them (C1) and overlap enough (C3).
 
-Evenly spaced rows of m and n images meet in only lcm(m, n) different relative positions of an image and the row next to
-it, evenly spread; where m and n have a large common divisor, few, and turning one row against the other (its *phase*)
-chooses which. Both conditions are looked at in a handful of positions each and put together for three phases: the
-images of one row stand on those of the other, halfway between, or a quarter.
+Evenly spaced rows of m and n images have only lcm(m, n) different relative positions of an image and the adjacent row,
+evenly distributed. If m and n have a large common divisor these are few, and the *phase* (the rotation of one row
+against the other) selects them. Both conditions are evaluated at a few positions each and combined for three phases:
+the images of one row are at those of the other, halfway between, or at a quarter.
 
-All functions take arrays: the search asks for hundreds of pairs at a time.
+All functions are vectorised: the search evaluates hundreds of pairs at a time.
 """
 
 from __future__ import annotations
@@ -24,43 +24,44 @@ from panoexec.planning.search.row_layout import IntArray, RowLayout
 from panoexec.planning.search.row_overlap import seen_by_row, seen_in_columns
 
 PHASES = (0.0, 0.25, 0.5)
-"""Relative phases tried, in units of the distance at which the same picture recurs."""
+"""Relative phases, in units of the period after which the relative positions repeat."""
 
 _FEW = 12
-"""With more distinct positions than this the phase no longer matters, and the worst position counts."""
+"""With more distinct positions than this the phase is ignored, and the worst position counts."""
 
 _POLAR_DEG = 55.0
-"""Rows whose images take this many azimuths to each side are looked at in more positions, and by the slower way."""
+"""Rows with images wider than this (half the azimuth extent) use more positions and the approximate method."""
 
-_ROUGHNESS = 3e-4
-"""What is taken off there, as the overlaps found are not exact."""
+_APPROXIMATION_ERROR = 3e-4
+"""Subtracted from overlaps computed by the approximate method."""
 
 _WIDEST_DEG = 100.0
-"""Likewise rows of a few images this far apart."""
+"""Rows with a wider spacing than this are treated like polar ones."""
 
-Seeing = Callable[[Camera, FloatArray, FloatArray, FloatArray], FloatArray]
-"""A way to find overlaps, see `panoexec.planning.search.row_overlap.seen_by_row`."""
+OverlapFunction = Callable[[Camera, FloatArray, FloatArray, FloatArray], FloatArray]
+"""A function that computes overlaps, see `panoexec.planning.search.row_overlap.seen_by_row`."""
 
 _OpenRows = tuple[FloatArray, FloatArray, IntArray]
 """Pitch, spacing and count of rows, each (k,)."""
 
 _AROUND = 60
 _MOST_DISTINCT = 400
-"""With more distinct positions than this some seams of two rows all but meet."""
+"""With more distinct positions than this some seams of the two rows nearly coincide."""
 
 _NOT_CLOSED = -1.0
 _SURE = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Grain:
-    """How closely pairs are looked at.
+class Resolution:
+    """Resolution of the evaluation of pairs.
 
     Attributes:
-        columns: that an image is cut into, see `seen_in_columns`.
-        exact: find overlaps exactly where that is possible.
-        positions: of an image in a cell of the row next to it, from 0 to half the spacing; likewise about a pole.
-        meridians: from the middle of an image to its row's seam.
+        columns: number of columns of an image, see `seen_in_columns`.
+        exact: whether overlaps are computed exactly where possible.
+        positions: number of positions of an image in a cell of the adjacent row, from 0 to half the spacing; the same
+            near a pole.
+        meridians: number of meridians from the middle of an image to its row's seam.
     """
 
     columns: int
@@ -69,13 +70,13 @@ class Grain:
     meridians: int
 
 
-COARSE = Grain(columns=12, exact=False, positions=(3, 7), meridians=5)
-FINE = Grain(columns=40, exact=True, positions=(7, 13), meridians=17)
+COARSE = Resolution(columns=12, exact=False, positions=(3, 7), meridians=5)
+FINE = Resolution(columns=40, exact=True, positions=(7, 13), meridians=17)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pairs:
-    """Rows and the rows above them, and what each row's images have to share with the other row; each (k,)."""
+    """Rows, the rows above them, and the overlaps that the images of each row must have with the other; each (k,)."""
 
     low_deg: FloatArray
     low_count: IntArray
@@ -88,7 +89,7 @@ class Pairs:
         return len(self.low_deg)
 
     def at(self, which: IntArray, high_deg: FloatArray) -> Pairs:
-        """Some of the pairs (m,), with the higher row at other pitches (m,)."""
+        """A selection (m,) of the pairs, with other pitches (m,) of the higher row."""
         return Pairs(
             low_deg=self.low_deg[which],
             low_count=self.low_count[which],
@@ -100,10 +101,10 @@ class Pairs:
 
 
 class PairMargin:
-    """The margin by which rows that follow each other satisfy C1 and C3.
+    """The margin by which adjacent rows satisfy C1 and C3.
 
-    The margin is the least of: the surplus of overlap, as a fraction of an image, over what is asked for, of any image
-    of either row with the other; and the overlap in elevation of what the two rows cover, in vertical fields of view.
+    The margin is the minimum of: the surplus of overlap over the demand, as a fraction of an image, over the images of
+    both rows; and the overlap in elevation of the two rows' coverage, in vertical fields of view.
     """
 
     def __init__(self, camera: Camera, layout: RowLayout, cover: RowCover) -> None:
@@ -111,25 +112,27 @@ class PairMargin:
         self._layout = layout
         self._cover = cover
 
-    def margins(self, pairs: Pairs, grain: Grain) -> FloatArray:
+    def margins(self, pairs: Pairs, resolution: Resolution) -> FloatArray:
         """Margins (k, 3) for each of `PHASES`."""
-        return np.minimum(self.shared(pairs, grain), self.closed(pairs, grain))
+        return np.minimum(self.overlap_margins(pairs, resolution), self.coverage_margins(pairs, resolution))
 
-    def shared(self, pairs: Pairs, grain: Grain) -> FloatArray:
-        """The part of the margins (k, 3) that comes from overlaps, C3."""
+    def overlap_margins(self, pairs: Pairs, resolution: Resolution) -> FloatArray:
+        """The part of the margins (k, 3) that comes from overlap, C3."""
         low_spacing, _ = self._layout.spacing_and_reach(pairs.low_deg, pairs.low_count)
         high_spacing, _ = self._layout.spacing_and_reach(pairs.high_deg, pairs.high_count)
         low = pairs.low_deg, low_spacing, pairs.low_count
         high = pairs.high_deg, high_spacing, pairs.high_count
         if not self._layout.closed:
             least = np.minimum(
-                self._shared_open(grain, low, high) - pairs.low_demand,
-                self._shared_open(grain, high, low) - pairs.high_demand,
+                self._shared_open(resolution, low, high) - pairs.low_demand,
+                self._shared_open(resolution, high, low) - pairs.high_demand,
             )
             return _any_phase(least)
-        # both ways in one go, as small batches cost as much as large ones
+        # both directions in one call: small batches cost as much as large ones
         rows = (np.concatenate(both) for both in zip(high, low, strict=True))
-        by_low, by_high = np.split(self._shared(grain, np.concatenate([pairs.low_deg, pairs.high_deg]), *rows), 2)
+        by_low, by_high = np.split(
+            self._overlap_by_position(resolution, np.concatenate([pairs.low_deg, pairs.high_deg]), *rows), 2
+        )
         if self._layout.is_even:
             common = np.gcd(pairs.low_count, pairs.high_count)
             least_low = _by_phase(by_low, pairs.low_count // common)
@@ -138,11 +141,11 @@ class PairMargin:
             least_low, least_high = _any_phase(by_low.min(axis=1)), _any_phase(by_high.min(axis=1))
         return np.minimum(least_low - pairs.low_demand[:, None], least_high - pairs.high_demand[:, None])
 
-    def closed(self, pairs: Pairs, grain: Grain) -> FloatArray:
-        """The part of the margins (k, 3) that comes from coverage, C1; -1 where a row has gaps of its own."""
+    def coverage_margins(self, pairs: Pairs, resolution: Resolution) -> FloatArray:
+        """The part of the margins (k, 3) that comes from coverage, C1; -1 where a row itself has gaps."""
         low_spacing, low_reach = self._layout.spacing_and_reach(pairs.low_deg, pairs.low_count)
         high_spacing, high_reach = self._layout.spacing_and_reach(pairs.high_deg, pairs.high_count)
-        meridians = np.linspace(0.0, 1.0, grain.meridians)
+        meridians = np.linspace(0.0, 1.0, resolution.meridians)
         low_from, low_to = self._cover.row_intervals(pairs.low_deg, low_spacing, low_reach[:, None] * meridians)
         high_from, high_to = self._cover.row_intervals(pairs.high_deg, high_spacing, high_reach[:, None] * meridians)
         top = np.where(low_from <= low_to, low_to, -360.0)
@@ -156,27 +159,32 @@ class PairMargin:
             self._layout.is_even & (worst < _SURE) & (best > worst + 1e-4) & (distinct <= _MOST_DISTINCT)
         )[0]
         if len(unsure):
-            closed[unsure] = self._meet(pairs, unsure, top[unsure], bottom[unsure]) / height
+            closed[unsure] = self._elevation_overlap(pairs, unsure, top[unsure], bottom[unsure]) / height
         return np.maximum(closed, _NOT_CLOSED)
 
-    def _shared(
-        self, grain: Grain, pitch_deg: FloatArray, row_deg: FloatArray, spacing_deg: FloatArray, count: IntArray
+    def _overlap_by_position(
+        self,
+        resolution: Resolution,
+        pitch_deg: FloatArray,
+        row_deg: FloatArray,
+        spacing_deg: FloatArray,
+        count: IntArray,
     ) -> FloatArray:
-        """Overlap (k, positions) of images with the row next to them, by position in its cell."""
-        few, many = grain.positions
+        """Overlap (k, positions) of images with the adjacent row, by position in its cell."""
+        few, many = resolution.positions
         polar = np.maximum(self._half_azimuth(pitch_deg), self._half_azimuth(row_deg)) > _POLAR_DEG
         polar |= spacing_deg > _WIDEST_DEG
-        roughly: Seeing = partial(seen_in_columns, columns=grain.columns)
-        usually: Seeing = seen_by_row if grain.exact else roughly
+        approximate: OverlapFunction = partial(seen_in_columns, columns=resolution.columns)
+        usually: OverlapFunction = seen_by_row if resolution.exact else approximate
 
-        def seen(which: NDArray[np.bool_], positions: int, seeing: Seeing) -> FloatArray:
+        def seen(which: NDArray[np.bool_], positions: int, overlap_function: OverlapFunction) -> FloatArray:
             row = row_deg[which], spacing_deg[which], count[which]
-            return self._seen_from(positions, seeing, pitch_deg[which], row=row)
+            return self._seen_from(positions, overlap_function, pitch_deg[which], row=row)
 
         if not polar.any():
             return seen(~polar, few, usually)
         out = np.empty((len(pitch_deg), many))
-        out[polar] = seen(polar, many, roughly) - (_ROUGHNESS if grain.exact else 0.0)
+        out[polar] = seen(polar, many, approximate) - (_APPROXIMATION_ERROR if resolution.exact else 0.0)
         if not polar.all():
             rest = seen(~polar, few, usually)
             out[~polar] = _interpolate(rest, np.broadcast_to(np.linspace(0.0, 0.5, many), (len(rest), many)))
@@ -185,15 +193,15 @@ class PairMargin:
     def _seen_from(
         self,
         positions: int,
-        seen: Seeing,
+        seen: OverlapFunction,
         pitch_deg: FloatArray,
         *,
         row: tuple[FloatArray, FloatArray, IntArray],
     ) -> FloatArray:
         row_deg, spacing_deg, count = row
         position = np.linspace(0.0, 0.5, positions)
-        # no more than can meet the image, whatever the others of the batch need: what is far around is not told apart
-        near = self._reaching(pitch_deg, row_deg, spacing_deg, count)[:, None]
+        # only images that can overlap, whatever the rest of the batch needs: images too far around are ambiguous
+        near = self._overlapping_count(pitch_deg, row_deg, spacing_deg, count)[:, None]
         most = int(near.max(initial=1))
         steps = np.arange(most) - (most - 1) // 2
         used = (steps >= -((near - 1) // 2)) & (steps <= near // 2)
@@ -203,28 +211,28 @@ class PairMargin:
         )
         return shared.reshape(len(pitch_deg), positions)
 
-    def _reaching(
+    def _overlapping_count(
         self, pitch_deg: FloatArray, row_deg: FloatArray, spacing_deg: FloatArray, count: IntArray
     ) -> IntArray:
-        """How many images of the next row could meet an image (k,), at most."""
+        """Upper bound of the number of images of the adjacent row that can overlap an image, (k,)."""
         reach = self._half_azimuth(pitch_deg) + self._half_azimuth(row_deg)
         near = 2 * np.maximum(np.ceil(reach / np.maximum(spacing_deg, 1e-9)) - 1, 1) + 1
         return np.asarray(np.minimum(near, count).astype(np.intp))
 
     def _half_azimuth(self, pitch_deg: FloatArray) -> FloatArray:
-        """Half the azimuths that an image takes."""
+        """Half the azimuth extent of an image, degrees."""
         p = np.radians(np.abs(pitch_deg))
         w, h = self._camera.half_width, self._camera.half_height
         return np.degrees(np.arctan2(w, np.cos(p) - h * np.sin(p)))
 
-    def _meet(self, pairs: Pairs, which: IntArray, top: FloatArray, bottom: FloatArray) -> FloatArray:
-        """Least overlap in elevation (k, phases) of what rows cover, meridian by meridian."""
+    def _elevation_overlap(self, pairs: Pairs, which: IntArray, top: FloatArray, bottom: FloatArray) -> FloatArray:
+        """Smallest overlap in elevation (k, phases) of the two rows' coverage, over sampled meridians."""
         low, high = pairs.low_count[which], pairs.high_count[which]
         common = np.gcd(low, high)
         period = 360.0 / common
         recurs = period / ((low // common) * (high // common))
         even = np.linspace(0.0, 1.0, _AROUND, endpoint=False) * period[:, None]
-        # what a row covers has its notches at the seams, and a narrow gap may lie in one
+        # the coverage of a row has notches at its seams, where a narrow gap may be: sample these too
         low_seams, high_seams = _seams(low // common, 360.0 / low), _seams(high // common, 360.0 / high)
         out = np.empty((len(which), len(PHASES)))
         for i, phase in enumerate(PHASES):
@@ -236,8 +244,8 @@ class PairMargin:
             out[:, i] = gap.min(axis=1)
         return out
 
-    def _shared_open(self, grain: Grain, images: _OpenRows, next_rows: _OpenRows) -> FloatArray:
-        """Least overlap (k,) of the images of one half of sectors' rows with the next rows."""
+    def _shared_open(self, resolution: Resolution, images: _OpenRows, next_rows: _OpenRows) -> FloatArray:
+        """Smallest overlap (k,) of the images of one half of a sector's row with the adjacent row."""
         pitch_deg, spacing_deg, count = images
         row_deg, row_spacing_deg, row_count = next_rows
         half = int(((count + 1) // 2).max())
@@ -249,7 +257,7 @@ class PairMargin:
         other = (np.arange(most) - (row_count[:, None] - 1) / 2) * row_spacing_deg[:, None]
         other = np.where(np.arange(most) < row_count[:, None], other, np.nan)
         yaws = other[:, None, :] - own[:, :, None]
-        reaching = self._reaching(pitch_deg, row_deg, np.maximum(row_spacing_deg, 1e-3), row_count)
+        reaching = self._overlapping_count(pitch_deg, row_deg, np.maximum(row_spacing_deg, 1e-3), row_count)
         near = min(most, int(reaching.max(initial=1)))
         order = np.argsort(np.abs(yaws), axis=2)[:, :, :near]
         yaws = np.sort(np.take_along_axis(yaws, order, axis=2), axis=2)
@@ -259,24 +267,24 @@ class PairMargin:
             np.repeat(pitch_deg, shape[1]),
             np.repeat(row_deg, shape[1]),
             yaws.reshape(-1, near),
-            grain.columns,
+            resolution.columns,
         ).reshape(shape)
         return np.asarray(np.where(probes < (count[:, None] + 1) // 2, shared, np.inf).min(axis=1))
 
 
 def _seams(count: IntArray, spacing_deg: FloatArray) -> FloatArray:
-    """Azimuths (k, most) of the first (k,) seams between images of rows, repeated to fill up."""
+    """Azimuths (k, most) of the first (k,) seams between images of rows, repeated as padding."""
     steps = np.arange(int(count.max())) % count[:, None]
     return np.asarray((steps + 0.5) * spacing_deg[:, None])
 
 
 def _any_phase(values: FloatArray) -> FloatArray:
-    """Values (k,) that hold for every phase, (k, 3)."""
+    """Values (k,) that are the same for every phase, as (k, 3)."""
     return np.repeat(values[:, None], len(PHASES), axis=1)
 
 
 def _by_phase(shared: FloatArray, distinct: IntArray) -> FloatArray:
-    """The least of overlaps given by position (k, positions), over the positions that occur, for each phase: (k, 3)."""
+    """Minimum of overlaps (k, positions) over the positions that occur in each phase: (k, 3)."""
     out = _any_phase(shared.min(axis=1))
     for number in np.unique(distinct[distinct <= _FEW]).tolist():
         rows = np.nonzero(distinct == number)[0]
@@ -292,7 +300,7 @@ def _cell(turns: FloatArray) -> FloatArray:
 
 
 def _interpolate(values: FloatArray, position: FloatArray) -> FloatArray:
-    """Values (k, m) at positions (k, p) in a cell, given evenly from the middle to the border, linearly between."""
+    """Linear interpolation (k, p) of values (k, m), sampled evenly from the middle to the border of a cell."""
     last = values.shape[1] - 1
     x = np.abs(position) * 2 * last
     i = np.minimum(x.astype(np.intp), last - 1)

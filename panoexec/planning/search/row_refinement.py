@@ -1,8 +1,8 @@
-"""From a way through the search to rows: the same counts, with all slack shared out evenly, and turned to fit.
+"""From a search result to rows: the same counts, with the slack distributed evenly, and the phases chosen.
 
-The search stands every row as high as it can. Here the counts are kept and the greatest margin μ is sought with which
-the rows still reach the top of the band: then every pair of rows has that margin to spare, and the lowest and the
-highest row reach over the ends of the band by as much, so that a single row stands in the middle of its band.
+The search places every row as high as possible. Here the counts are fixed and the largest margin μ is determined with
+which the rows still reach the top of the band. Every pair of rows then has this margin, and the lowest and the highest
+row extend beyond the ends of the band by the same amount, so that a single row is in the middle of its band.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from panoexec.planning.search.row_search import FEW
 from panoexec.planning.search.row_steps import highest_pitch
 
 _RUNGS = (0.3, 0.6, 0.8, 0.92, 0.99)
-"""Parts of the margin that the slack seems good for."""
+"""Fractions of the estimated margin that are tried."""
 
 _MOST_MARGIN = 0.4
 _LOWEST_NODES, _CENTRED_NODES = 33, 400
 _FLATTEST_END_DEG = 89.9
-"""Beyond this the end of a band is a pole: there is nothing to reach over."""
+"""Beyond this elevation the end of a band is a pole: rows cannot extend beyond it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,10 +33,10 @@ class Rows:
     """Rows of evenly spaced images, the lowest first.
 
     Attributes:
-        pitch_deg: of each row.
-        count: images of each row.
-        phase_deg: yaw of each row's first image, where rows are free to turn.
-        margin: that every pair of rows has, see `PairMargin`.
+        pitch_deg: pitch of each row.
+        count: number of images of each row.
+        phase_deg: yaw of each row's first image, if rows may have any phase.
+        margin: margin of every pair of rows, see `PairMargin`.
     """
 
     pitch_deg: tuple[float, ...]
@@ -51,13 +51,13 @@ class Rows:
 
 
 def refine(rules: RowConstraints, path: Sequence[tuple[float, int]], least_margin: float = 0.0) -> Rows | None:
-    """Give rows of the given counts the greatest common margin.
+    """Give rows with the given counts the largest common margin.
 
     Args:
-        rules: what they have to satisfy.
-        path: (pitch_deg, count) of the rows, lowest first; none stands higher than where C2 allows its count, and rows
-            of a few images no higher than given.
-        least_margin: what they have to have at least.
+        rules: the constraints on the rows.
+        path: (pitch_deg, count) of the rows, lowest first; the pitches are upper limits for C2, and for rows of a few
+            images in general.
+        least_margin: minimum margin.
 
     Returns:
         The rows; None if they do not reach the top of the band with `least_margin`.
@@ -85,7 +85,7 @@ def refine(rules: RowConstraints, path: Sequence[tuple[float, int]], least_margi
 
 
 def _centred(rules: RowConstraints, pitch_deg: float, count: int, margin: float) -> Rows:
-    """A single row, no higher than given, that reaches as far over one end of the band as over the other."""
+    """A single row, not above the given pitch, that extends equally beyond both ends of the band."""
     height = rules.camera.vfov_deg
     floor, _ = rules.zone_of(pitch_deg, count)
     pitch = np.linspace(max(floor, pitch_deg - height), pitch_deg, _CENTRED_NODES)
@@ -96,7 +96,7 @@ def _centred(rules: RowConstraints, pitch_deg: float, count: int, margin: float)
 
 
 def _promising(rules: RowConstraints, path: Sequence[tuple[float, int]]) -> float:
-    """The margin that the slack at the top is good for, if rows may be moved freely."""
+    """Estimate of the margin that the slack at the top allows, if rows may be moved freely."""
     pitch, count = path[-1]
     _, high = rules.band(np.array([pitch]), np.array([count]))
     height = rules.camera.vfov_deg
@@ -104,7 +104,7 @@ def _promising(rules: RowConstraints, path: Sequence[tuple[float, int]]) -> floa
     places = len(path) - 1 + bottom + top
     slack = max(float(high[0]) - rules.band_deg[1], 0.0)
     if not top:
-        # about a pole an image reaches far over: what counts is how low the last row may stand
+        # an image near a pole extends far beyond it: what counts is the lowest permitted pitch of the last row
         floor, _ = rules.zone_of(pitch, count)
         lower = np.linspace(max(floor, pitch - height), pitch, _LOWEST_NODES)
         _, highs = rules.band(lower, np.full(len(lower), count))
@@ -113,7 +113,7 @@ def _promising(rules: RowConstraints, path: Sequence[tuple[float, int]]) -> floa
 
 
 def _free_ends(rules: RowConstraints) -> tuple[bool, bool]:
-    """Whether rows can reach over the lower and the upper end of the band."""
+    """Whether rows can extend beyond the lower and the upper end of the band."""
     low, high = rules.band_deg
     return low > -_FLATTEST_END_DEG, high < _FLATTEST_END_DEG
 
@@ -121,13 +121,13 @@ def _free_ends(rules: RowConstraints) -> tuple[bool, bool]:
 def _climb(
     rules: RowConstraints, path: Sequence[tuple[float, int]], margins: FloatArray, extra: FloatArray
 ) -> FloatArray:
-    """Pitches (rows, margins) of rows as high as they can be with each margin, and no higher than given; else NaN.
+    """Highest pitches (rows, margins) of rows for each margin, at most the given ones; NaN where infeasible.
 
     Args:
-        rules: what they have to satisfy.
+        rules: the constraints on the rows.
         path: as for `refine`.
         margins: of pairs of rows.
-        extra: how far the first row reaches over the lower end of the band, in vertical fields of view.
+        extra: extension of the first row beyond the lower end of the band, in vertical fields of view.
     """
     height = rules.camera.vfov_deg
     floor, _ = rules.zone_of(*path[0])
@@ -156,7 +156,7 @@ def _climb(
 
 
 def _reaches(rules: RowConstraints, count: int, pitch_deg: FloatArray, extra: FloatArray) -> NDArray[np.bool_]:
-    """Whether rows at the top cover up to the band's end, and beyond by so many vertical fields of view."""
+    """Whether the top rows cover up to the band's end, and beyond it by `extra` vertical fields of view."""
     some = ~np.isnan(pitch_deg)
     _, high = rules.band(np.where(some, pitch_deg, 0.0), np.full(len(pitch_deg), count))
     over = extra * rules.camera.vfov_deg * _free_ends(rules)[1]
@@ -164,7 +164,7 @@ def _reaches(rules: RowConstraints, count: int, pitch_deg: FloatArray, extra: Fl
 
 
 def _phases(rules: RowConstraints, pitch_deg: FloatArray, counts: tuple[int, ...]) -> tuple[float, ...]:
-    """Turn each row to the best of the phases against the row below it."""
+    """The best of the phases of each row relative to the row below it."""
     phases = [0.0]
     if len(counts) > 1:
         n = np.array(counts)

@@ -1,8 +1,8 @@
-"""What is still to come: fewest images above a row, by a relaxation that only knows counts and steps.
+"""Lower bound of the remaining cost: fewest images above a row, by a relaxation that knows only counts and steps.
 
-On a fine grid of pitches, each pitch a row with as many images as C2 asks for, one step above the other: a row may
-follow another one as far up as a pair with the best of phases allows, measured at a few pitches and a little
-lengthened. Whether rows fit otherwise is not looked at, so the relaxation promises a little too much.
+On a fine grid of pitches, each pitch is a row with the minimum number of images by C2. A row may follow another one at
+the step that a pair with the best phase allows, measured at a few pitches and slightly lengthened. Whether rows fit
+otherwise is ignored, so the relaxation is slightly optimistic.
 """
 
 from __future__ import annotations
@@ -17,33 +17,33 @@ from panoexec.planning.search.row_steps import highest_pitch
 
 _GRID = 250
 _GRID_MANY = 600
-"""Grid steps in a vertical field of view, and where there are many rows, so that rounding does not add up."""
+"""Grid steps per vertical field of view; more where there are many rows, so that rounding does not accumulate."""
 
 _NODES = 17
 _STEEPEST_DEG = 76.0
 _GENEROUS = 5e-4
-"""What measured steps are lengthened by, in vertical fields of view."""
+"""Amount by which measured steps are lengthened, in vertical fields of view."""
 
 _POLAR_GENEROUS = 1.01
 _POLAR_SHARE = 0.3
 _MORE_IMAGES = 4
 _MANY = 40
-"""In rows of so many images one more or less hardly changes how high the next row can stand."""
+"""From this number of images in a row, one more or less hardly changes the pitch of the next row."""
 
 _LOW_DEG = 8.0
 _TALL_DEG = 60.0
-"""With a larger vertical field of view steps are not measured: there are only a few rows."""
+"""With a larger vertical field of view steps are not measured, as there are only a few rows."""
 
 NEVER = 10**7
-"""Images above a row from which no way leads on."""
+"""Number of images above a row from which the top of the band cannot be reached."""
 
 
 class RowRelaxation:
-    """Fewest images above a row.
+    """Lower bound of the number of images above a row.
 
     Args:
-        rules: what rows have to satisfy.
-        wanted: margin of pairs of rows that steps are measured with.
+        rules: the constraints on rows.
+        wanted: margin of pairs of rows for which steps are measured.
     """
 
     def __init__(self, rules: RowConstraints, wanted: float = 0.0) -> None:
@@ -63,15 +63,15 @@ class RowRelaxation:
         self._after = self._solve(steps_deg)
 
     def longest_step_deg(self, pitch_deg: float) -> float:
-        """The longest step from a row to the next."""
+        """The largest pitch difference from a row to the next, degrees."""
         return float(self._longest[self._index(pitch_deg)])
 
     def least_after(self, pitch_deg: float) -> int:
-        """Fewest images above a row that does not reach the band's upper end itself."""
+        """Fewest images above a row that does not reach the band's upper end."""
         return round(float(self._after[self._index(pitch_deg)]))
 
     def least_above(self, pitch_deg: float, count: int) -> int:
-        """Fewest images above a row that may reach it."""
+        """Fewest images above a row that may reach the band's upper end."""
         i = self._index(pitch_deg)
         return 0 if float(self._closing[i]) <= count else round(float(self._after[i]))
 
@@ -79,21 +79,21 @@ class RowRelaxation:
         i = math.ceil((pitch_deg - float(self._grid[0])) / self._step - 1e-6)
         return min(max(i, 0), len(self._grid) - 1)
 
-    def usual_step_deg(self, pitch_deg: FloatArray) -> FloatArray:
-        """About how high the next row stands above rows at pitches (k,)."""
+    def approximate_step_deg(self, pitch_deg: FloatArray) -> FloatArray:
+        """Approximate pitch difference to the next row, for rows at pitches (k,), degrees."""
         return np.asarray(np.interp(pitch_deg, self._grid, self._longest) - _GENEROUS * self._rules.camera.vfov_deg)
 
-    def about_after(self, pitch_deg: float) -> float:
-        """About how many images above a row, not in whole ones: to tell apart labels that promise the same."""
+    def estimate_after(self, pitch_deg: float) -> float:
+        """Estimated, fractional number of images above a row: it breaks ties between labels with equal bounds."""
         return float(np.interp(pitch_deg, self._grid, self._about))
 
     def _steps_deg(self, pitch_deg: FloatArray) -> FloatArray:
-        """Longest steps from rows at pitches (k,)."""
+        """Largest pitch differences to the next row, for rows at pitches (k,)."""
         rules, camera = self._rules, self._rules.camera
         height, half = camera.vfov_deg, camera.half_height
-        # an endless strip of images along a great circle, of which C3 asks `overlap_v`
+        # an infinite strip of images along a great circle, with the overlap `overlap_v` of C3
         strip = height / 2 + math.degrees(math.atan(half * (1 - 2 * rules.overlap_v)))
-        # about a pole an image sees all azimuths, and a row more than a strip
+        # near a pole an image sees all azimuths, and a row more than a strip
         steep = np.minimum(np.abs(pitch_deg) + height / 2, 90.0)
         polar = np.cos(np.radians(steep)) < camera.half_width * _POLAR_SHARE
         limit = np.where(polar, height, min(strip * _POLAR_GENEROUS, height))
@@ -112,7 +112,7 @@ class RowRelaxation:
     def _measured(self, nodes: FloatArray, strip_deg: float) -> FloatArray:
         rules, height = self._rules, self._rules.camera.vfov_deg
         low, high = rules.fewest(nodes) + 1, rules.fewest(nodes + strip_deg) + 1
-        # where the phase hardly matters, numbers without a common divisor: every relative position occurs
+        # where the phase hardly matters, use counts without a common divisor: every relative position occurs
         high = np.where((low >= _MANY) & (np.gcd(low, high) > 1), high + 1, high)
         pairs = rules.pairs(nodes, low, high)
         stop = nodes + min(height, strip_deg * _POLAR_GENEROUS)
@@ -128,7 +128,7 @@ class RowRelaxation:
         near = np.nonzero(grid + rules.camera.vfov_deg >= top)[0]
         for more in range(_MORE_IMAGES):
             _, high = rules.band(grid[near], fewest[near] + more)
-            # half a grid step higher it may just reach
+            # half a grid step higher, the row may just reach the end
             done = near[(high >= top - self._step) & np.isinf(closing[near])]
             closing[done] = fewest[done] + more
         return closing
@@ -141,5 +141,5 @@ class RowRelaxation:
         for i in range(len(grid) - 2, -1, -1):
             after[i] = cost[i + 1 : i + 1 + reach[i]].min()
             cost[i] = min(cost[i], fewest[i] + after[i])
-        # rows that are too low for the band's top but cannot go higher have no future
+        # rows that do not reach the top and cannot go higher are dead ends
         return np.where(np.isinf(after), NEVER, after)

@@ -1,8 +1,8 @@
-"""How close neighbours in a row had better stand, where pointing errors could open the row between them.
+"""The best spacing of neighbours in a row where pointing errors could open gaps between them.
 
-As far apart as C2 lets them, the images of a row may share next to nothing at their seam once the errors are taken off,
-and the next row has to stand low to close what is left open. Closer neighbours cost images in the row and save rows.
-What pays best is found out on rows at a few pitches, before the search, as it is the same for the whole plan.
+At the widest spacing that C2 permits, the images of a row may overlap very little at their seam once the errors are
+subtracted, and the next row must be low to cover the rest. A smaller spacing costs images in the row and saves rows.
+The best trade-off is determined on rows at a few pitches before the search, as it is the same for the whole plan.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from panoexec.planning.search.row_steps import highest_pitch
 _SEAMS = (0.0, 0.08, 0.2, 0.35, 0.5, 0.65)
 _PITCHES_DEG = (-62.0, -37.0, -9.0)
 _FEW_IMAGES = 14
-"""Where the longest rows have so few images, the search tries all numbers of images worth trying anyway."""
+"""If the longest rows have fewer images, the search tries all relevant counts anyway."""
 
 _ENOUGH = 0.65
-"""Rows that keep so much of their height at the seams lose nothing there."""
+"""Rows that keep this fraction of their height at the seams need no optimisation."""
 
 _WORTH = 0.99
 _TALL_DEG = 60.0
 
 
-def with_best_seam(rules: RowConstraints) -> RowConstraints:
-    """The rules with the demand on seams that takes the fewest images for an elevation covered."""
+def optimise_seam(rules: RowConstraints) -> RowConstraints:
+    """The constraints with the seam demand that needs the fewest images per covered elevation."""
     height = rules.camera.vfov_deg
     even = rules.layout.closed and rules.layout.blind_deg == 0
     if rules.demands.neighbours.tolerance.is_zero or not even or height > _TALL_DEG:

@@ -1,17 +1,16 @@
-"""The search for rows: the shortest path from the lowest row to the highest by number of images, in a beam.
+"""Row search: the shortest path by number of images from the lowest row to the highest, as a beam search.
 
-A *label* is a way to cover the band from its lower end up to a row: that row's pitch and count, the images so far and
-the label it came from. From a label the search steps to every count of images that could make the next row, with that
-row as high as C1 and C3 let it be and, in steepness, no lower than C2 asks of that count. Rows as high as possible lose
-nothing: whatever can follow a row can follow the same row a little higher, but for the places where a higher row needs
-more images (there rows of either count are tried) and for rows of a few images, which may cover a wider band when they
-stand lower (there a few lower pitches are tried).
+A *label* is a partial solution that covers the band from its lower end up to a row: that row's pitch and count, the
+total number of images and the preceding label. From a label the search extends to every count of images that could form
+the next row, with that row as high as C1 and C3 permit and at least as steep as C2 demands for that count. Taking rows
+as high as possible loses nothing: whatever can follow a row can follow the same row slightly higher. The exceptions are
+pitches where a higher row needs more images (there rows of both counts are tried) and rows of a few images, which may
+cover a wider band at a lower pitch (there a few lower pitches are tried).
 
-Labels advance together, a row at a time. Of those with equally many rows only the most promising go on: a label
-promises its images and what `row_relaxation` says must still come, a relaxation that knows C2's counts
-and how long steps are at the best, and not whether rows fit. A label that another one makes superfluous is dropped.
-So each row costs the same, and a plan of n images, which has about √n rows, costs about √n steps; all steps of a row
-are looked at in one go.
+Labels advance together, a row at a time. Of the labels with equally many rows only the most promising are kept: the
+bound of a label is its number of images plus the relaxed remaining cost of `row_relaxation`, which knows C2's counts
+and the longest steps, but not whether rows fit. Dominated labels are dropped. So each row costs the same, and a plan of
+n images, which has about √n rows, costs about √n steps; all steps of a row are evaluated in one batch.
 """
 
 from __future__ import annotations
@@ -27,44 +26,45 @@ from panoexec.planning.search.row_relaxation import NEVER, RowRelaxation
 from panoexec.planning.search.row_steps import highest_pitch
 
 _SMALLEST_STEP = 0.15
-"""Rows closer than this share of the vertical field of view are not tried."""
+"""Rows closer than this fraction of the vertical field of view are not tried."""
 
 _MORE_IMAGES = 2
-"""How many images more than C2 asks for are tried in a row."""
+"""Number of images above C2's minimum that are tried in a row."""
 
 FEW = 6
 _LOWER = (0.08, 0.16, 0.24, 0.32)
-"""Rows of few images are also tried so many vertical fields of view lower."""
+"""Offsets, in vertical fields of view, at which rows of few images are also tried lower."""
 
 WIDTH, _WIDTH_MANY = 24, 8
-"""So many labels of equally many rows go on; and in plans of very many rows, which are all alike."""
+"""Beam width: labels of equally many rows that are kept; and in plans of very many, similar rows."""
 
 _SLACK = 3
 _SLACK_FRAC = 0.002
-"""What promises so many images more than the best complete label is given up."""
+"""Labels whose bound exceeds the best complete label by this number of images are dropped."""
 
 _STEPS_AT_ONCE = (20, 100, 400)
-"""So many steps are looked at for a row, and all that promise no more than the best and the slack; more if that leads
-nowhere. Promises are good where there are many images, which begin with the first number, others with the second."""
+"""Steps evaluated for a row, in addition to all steps whose bound is at most the best plus the slack; the next number
+applies if no solution results. Plans of many images, whose bounds are tight, begin with the first number, others with
+the second."""
 
 _LARGE = 80
 
 _MORE_ROWS = 2
-"""Labels with so many rows more than the best complete one are given up."""
+"""Labels with this number of rows more than the best complete one are dropped."""
 
 _MOST_ROWS = 20_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Label:
-    """See the module's text.
+    """A partial solution; see the module docstring.
 
     Attributes:
-        pitch_deg: of the row.
+        pitch_deg: pitch of the row.
         count: images in the row.
-        images: in all rows so far.
-        rows: so far.
-        highest_deg: up to which elevation the row covers all round.
+        images: images in all rows so far.
+        rows: number of rows so far.
+        highest_deg: highest elevation that the row covers at all azimuths.
         reaches: whether that is the band's upper end.
         before: the label of the row below.
     """
@@ -89,7 +89,7 @@ class Label:
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """A row still to be tried on top of a label, and the least total it may lead to."""
+    """A candidate row on top of a label, and the lower bound of its total."""
 
     label: Label
     count: int
@@ -99,46 +99,46 @@ class _Step:
 
 
 class RowSearch:
-    """One search, for one set of rules.
+    """One search, for one set of constraints.
 
     Args:
-        rules: what rows have to satisfy.
-        wanted: margin that pairs of rows have to have, see `PairMargin`.
-        width: so many labels of equally many rows go on.
+        rules: the constraints on rows.
+        wanted: minimum margin of pairs of rows, see `PairMargin`.
+        width: beam width.
     """
 
     def __init__(self, rules: RowConstraints, *, wanted: float = 0.0, width: int = WIDTH) -> None:
         self._rules = rules
         self._width = min(width, _WIDTH_MANY) if rules.many else width
         self._wanted = wanted
-        self._outlook = RowRelaxation(rules, wanted)
+        self._relaxation = RowRelaxation(rules, wanted)
         pitch, count = rules.first_rows(_MORE_IMAGES)
         self._first = self._labels(pitch, count, [None] * len(count), np.full(len(count), rules.pitch_deg[0]))
 
     @property
     def least_images(self) -> int | None:
-        """Fewest images that the relaxation allows; None if it allows no way."""
-        promises = [promise for promise in map(self._promise, self._first) if promise < NEVER]
+        """Lower bound of the number of images by the relaxation; None if it has no solution."""
+        promises = [promise for promise in map(self._bound, self._first) if promise < NEVER]
         return min(promises) if promises else None
 
-    def ways(self, *, patient: bool = True) -> list[Label]:
-        """Complete labels: the fewest images first, then the fewest rows, then those that reach highest.
+    def solutions(self, *, retry: bool = True) -> list[Label]:
+        """Complete labels, sorted by number of images, then number of rows, then highest elevation (descending).
 
         Args:
-            patient: where none are found, look at more steps.
+            retry: if none are found, evaluate more steps.
         """
         large = (self.least_images or 0) >= _LARGE
         tries = _STEPS_AT_ONCE if large else _STEPS_AT_ONCE[1:]
-        for at_once in tries if patient else tries[:-1]:
-            ways, complete = self._ways(at_once)
-            if ways or complete:
-                return ways
+        for at_once in tries if retry else tries[:-1]:
+            solutions, complete = self._solutions(at_once)
+            if solutions or complete:
+                return solutions
         return []
 
-    def _ways(self, at_once: int) -> tuple[list[Label], bool]:
-        """Complete labels, and whether all steps were looked at."""
+    def _solutions(self, at_once: int) -> tuple[list[Label], bool]:
+        """Complete labels, and whether all steps were evaluated."""
         everything = True
-        front = _Front(self._rules.camera.vfov_deg)
+        front = _ParetoFront(self._rules.camera.vfov_deg)
         complete: list[Label] = []
         level, best, rows_left = self._first, NEVER, 1
         for _ in range(_MOST_ROWS):
@@ -149,7 +149,7 @@ class RowSearch:
             rows_left -= best < NEVER
             if not rows_left:
                 break
-            going = self._going_on([label for label in level if not label.reaches], best, front)
+            going = self._beam([label for label in level if not label.reaches], best, front)
             if not going:
                 break
             steps, all_steps = self._next_steps(going, best, at_once)
@@ -158,7 +158,7 @@ class RowSearch:
         return sorted(complete, key=lambda label: (label.images, label.rows, -label.highest_deg)), everything
 
     def highest_reach_deg(self) -> float:
-        """Upper end of what rows could cover at all, -90 if there is no first row: for error messages."""
+        """Highest elevation that rows could cover, -90 if there is no first row: for error messages."""
         level = self._first
         highest = max((label.highest_deg for label in level), default=-90.0)
         while level and not any(label.reaches for label in level):
@@ -167,14 +167,14 @@ class RowSearch:
             highest = max([highest, *(label.highest_deg for label in level)])
         return highest
 
-    def _promise(self, label: Label) -> int:
-        return label.images if label.reaches else label.images + self._outlook.least_after(label.pitch_deg)
+    def _bound(self, label: Label) -> int:
+        return label.images if label.reaches else label.images + self._relaxation.least_after(label.pitch_deg)
 
-    def _going_on(self, labels: list[Label], best: int, front: _Front) -> list[Label]:
-        """The most promising labels of one number of rows."""
+    def _beam(self, labels: list[Label], best: int, front: _ParetoFront) -> list[Label]:
+        """The most promising labels with equally many rows (the beam)."""
         ranked = sorted(
-            (promise, label.images + self._outlook.about_after(label.pitch_deg), i)
-            for i, (promise, label) in enumerate((self._promise(label), label) for label in labels)
+            (promise, label.images + self._relaxation.estimate_after(label.pitch_deg), i)
+            for i, (promise, label) in enumerate((self._bound(label), label) for label in labels)
             if promise <= _with_slack(best)
         )
         out: list[Label] = []
@@ -186,7 +186,7 @@ class RowSearch:
         return out
 
     def _next_steps(self, labels: list[Label], best: int, at_once: int) -> tuple[list[_Step], bool]:
-        """The steps worth a look, and whether these are all."""
+        """The steps to evaluate, and whether these are all."""
         steps = [step for label in labels for step in self._steps_from(label)]
         steps = sorted((step for step in steps if step.promise <= _with_slack(best)), key=lambda step: step.promise)
         good = sum(step.promise <= _with_slack(steps[0].promise) for step in steps)
@@ -194,10 +194,10 @@ class RowSearch:
         return steps[:most], len(steps) <= most
 
     def _steps_from(self, label: Label) -> list[_Step]:
-        """All rows that may follow a label."""
+        """All candidate rows on top of a label."""
         rules, height = self._rules, self._rules.camera.vfov_deg
         start = label.pitch_deg + _SMALLEST_STEP * height
-        stop = min(label.pitch_deg + self._outlook.longest_step_deg(label.pitch_deg), rules.pitch_deg[1])
+        stop = min(label.pitch_deg + self._relaxation.longest_step_deg(label.pitch_deg), rules.pitch_deg[1])
         if stop <= start:
             start = (label.pitch_deg + stop) / 2
         if stop - label.pitch_deg < 1e-6:
@@ -208,7 +208,7 @@ class RowSearch:
             for zone in rules.zones(count):
                 a, b = max(start, zone[0]), min(stop, zone[1])
                 if a <= b:
-                    promise = label.images + count + self._outlook.least_above(b, count)
+                    promise = label.images + count + self._relaxation.least_above(b, count)
                     out.append(_Step(label=label, count=count, start_deg=a, stop_deg=b, promise=promise))
         return out
 
@@ -227,7 +227,9 @@ class RowSearch:
             np.array([step.stop_deg for step in steps]),
             wanted=np.full(len(steps), self._wanted),
             height_deg=rules.camera.vfov_deg,
-            guess=np.where(np.minimum(low_count, count) > FEW, low_deg + self._outlook.usual_step_deg(low_deg), np.nan),
+            guess=np.where(
+                np.minimum(low_count, count) > FEW, low_deg + self._relaxation.approximate_step_deg(low_deg), np.nan
+            ),
         )
         good = ~np.isnan(pitch)
         if not rules.layout.closed:
@@ -238,7 +240,7 @@ class RowSearch:
     def _labels(
         self, pitch_deg: FloatArray, count: IntArray, before: list[Label | None], lowest: FloatArray
     ) -> list[Label]:
-        """New labels of rows, and of few-image rows also somewhat lower."""
+        """Labels of new rows; for rows of few images also at somewhat lower pitches."""
         pitches, counts, origins = [pitch_deg], [count], list(before)
         for share in _LOWER:
             lower = pitch_deg - share * self._rules.camera.vfov_deg
@@ -261,8 +263,8 @@ def _with_slack(images: int) -> int:
     return min(images + _SLACK + int(_SLACK_FRAC * images), NEVER - 1)
 
 
-class _Front:
-    """Labels that no other label makes superfluous."""
+class _ParetoFront:
+    """The set of non-dominated labels."""
 
     def __init__(self, height_deg: float) -> None:
         self._height = height_deg
@@ -270,7 +272,7 @@ class _Front:
         self._count = 0
 
     def admit(self, label: Label) -> bool:
-        """Take a label in, unless whatever can follow it can as well follow another one that is no dearer."""
+        """Add a label, unless another one with at most its cost dominates it."""
         known = self._rows[: self._count]
         near = known[:, 0] <= label.images
         near &= known[:, 1] >= label.pitch_deg - 1e-6

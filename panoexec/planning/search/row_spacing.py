@@ -1,4 +1,4 @@
-"""How far apart the images of one row may stand: what C2, and where it binds C4, ask of neighbours."""
+"""Widest spacing of the images of one row: the demands of C2, and of C4 where it is stronger, on neighbours."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from panoexec.planning.search.row_cover import CoreEdges
 from panoexec.planning.search.row_overlap import neighbour_overlap
 
 HAIR = 1e-7
-"""Overlap asked for beyond the threshold: more than rounding, less than an image."""
+"""Overlap demanded above the threshold: more than the rounding error, less than an image."""
 
 MOST_IN_A_ROW = 5000
 
 _HOPELESS = 100
-"""Where no number of images does at the horizon: so many are tried towards the poles."""
+"""Number of counts tried towards the poles if no count is feasible at the horizon."""
 
 _NODES = 33
 _STEPS = 60
@@ -29,14 +29,14 @@ _STEPS = 60
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NeighbourDemand:
-    """What images of one row have to share, as fractions of an image.
+    """Required overlaps of the images of one row, as fractions of an image.
 
     Attributes:
-        planned: neighbours, at the planned poses.
-        worst: neighbours, whatever the errors; 0 for nothing.
-        second: images two apart, whatever the errors; 0 for nothing.
-        tolerance: the errors.
-        seam: how much of the meridian between neighbours both see whatever the errors, in vertical fields of view.
+        planned: of neighbours, at the planned poses.
+        worst: of neighbours, for every error; 0 for none.
+        second: of images two apart, for every error; 0 for none.
+        tolerance: the largest errors.
+        seam: part of the meridian between neighbours that both see for every error, in vertical fields of view.
     """
 
     planned: float
@@ -46,10 +46,10 @@ class NeighbourDemand:
     seam: float = 0.0
 
     def surplus(self, camera: Camera, pitch_deg: FloatArray, spacing_deg: FloatArray) -> FloatArray:
-        """How much more images of pitch (k,) share than they have to, when (k,) apart.
+        """Surplus of overlap over the demand for images of pitch (k,) at spacing (k,).
 
-        Or, if that is less, how much more of the meridian between them both see whatever the errors than they have to,
-        in vertical fields of view: a row that does not close helps nobody.
+        Or, if that is less, the surplus of the part of the meridian between them that both see for every error, in
+        vertical fields of view: a row that is not closed is useless.
         """
         surplus = neighbour_overlap(camera, pitch_deg, spacing_deg, NO_TOLERANCE) - self.planned
         if self.worst > 0:
@@ -66,7 +66,7 @@ class NeighbourDemand:
 
 
 class NeighbourSpacing:
-    """How far apart neighbours in a row may be, for one camera and demand."""
+    """Permitted spacing of neighbours in a row, for one camera and demand."""
 
     def __init__(self, camera: Camera, demand: NeighbourDemand) -> None:
         self._camera = camera
@@ -79,19 +79,19 @@ class NeighbourSpacing:
         return self._demand.surplus(self._camera, pitch_deg, spacing_deg)
 
     def widest(self, pitch_deg: FloatArray) -> FloatArray:
-        """The widest spacing allowed at pitches (...), degrees, a hair on the safe side; 0 where none is."""
+        """The widest permitted spacing at pitches (...), degrees, rounded to the safe side; 0 where none is."""
         steepness, widest = self._table
         return np.asarray(np.interp(np.abs(pitch_deg), steepness, widest) * (1 - 1e-4))
 
     def most_images(self, around_deg: float) -> int:
-        """How many neighbours' spacings fill so many degrees at any pitch, at most `MOST_IN_A_ROW`."""
+        """Number of spacings that fill the given angle at any pitch, at most `MOST_IN_A_ROW`."""
         at_horizon = float(self._widest_spacing(np.zeros(1))[0])
         if at_horizon == 0:
             return _HOPELESS
         return MOST_IN_A_ROW if at_horizon * MOST_IN_A_ROW <= around_deg else math.ceil(around_deg / at_horizon)
 
     def least_steep_deg(self, spacing_deg: FloatArray) -> FloatArray:
-        """The least |pitch| at which neighbours may be so far apart (k,); 90 where they never may, NaN for none."""
+        """The minimum |pitch| at which neighbours may have the spacing (k,); 90 where they never may, NaN for none."""
         flatness = last_nonnegative(
             lambda which, x: self._demand.surplus(self._camera, 90.0 - x, spacing_deg[which]),
             np.full(len(spacing_deg), 0.1),

@@ -1,8 +1,8 @@
-"""How high the next row can stand: the greatest pitch at which a pair of rows still has a wanted margin.
+"""The highest pitch of the next row at which a pair of rows still has a wanted margin.
 
-Where about the right pitch is known beforehand, a few secant steps on exact margins settle it. Elsewhere a rough margin
-gives a first answer, and a few exact ones set it right; what the rough one overlooks (coverage) and what does not
-settle is looked for by exact margins alone. So most of the work is rough and all of the answers exact.
+If an approximate pitch is known, a few secant steps on fine margins converge to it. Otherwise a coarse margin gives a
+first result, which a few fine ones correct; cases that the coarse margin misses (coverage) or that do not converge are
+solved with fine margins alone. So most of the work is coarse and all results are fine.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ import numpy as np
 from panoexec.angles import FloatArray
 from panoexec.planning.geometry.root_finding import last_nonnegative
 from panoexec.planning.search.row_layout import IntArray
-from panoexec.planning.search.row_pairs import COARSE, FINE, Grain, PairMargin, Pairs
+from panoexec.planning.search.row_pairs import COARSE, FINE, PairMargin, Pairs, Resolution
 
 _ROUGH_PRECISION = 2e-3
 _PRECISION = 1e-3
-"""Of pitches, in vertical fields of view."""
+"""Precision of pitches, in vertical fields of view."""
 
 _CLOSE = 0.02
-"""Exact margins this far from the wanted one are worth a Newton step."""
+"""Fine margins within this distance of the wanted one are improved by a Newton step."""
 
 _SETTLED = 3e-4
 _SECANT_STEPS = 5
@@ -35,19 +35,19 @@ def highest_pitch(
     height_deg: float,
     guess: FloatArray | None = None,
 ) -> FloatArray:
-    """The greatest pitch of the higher rows with which pairs have a wanted margin.
+    """The highest pitch of the upper rows at which pairs have a wanted margin.
 
     Args:
-        margin: of pairs of rows.
-        pairs: the rows; the pitches of the higher ones are not looked at.
-        start: (k,) least pitch of the higher rows.
-        stop: (k,) greatest.
+        margin: evaluates pairs of rows.
+        pairs: the rows; the pitches of the upper ones are ignored.
+        start: (k,) minimum pitch of the upper rows.
+        stop: (k,) maximum pitch.
         wanted: (k,) margins.
         height_deg: vertical field of view.
-        guess: (k,) about where the answer is, NaN where that is not known.
+        guess: (k,) approximate solution, NaN where unknown.
 
     Returns:
-        (k,), NaN where there is none.
+        (k,) degrees, NaN where there is no solution.
     """
     if not len(pairs):
         return np.empty(0)
@@ -63,7 +63,7 @@ def highest_pitch(
 
 
 def _near(exact: _Surplus, guess: FloatArray, start: FloatArray, stop: FloatArray, *, height_deg: float) -> FloatArray:
-    """Pitches (k,) that secant steps from a guess settle on; NaN where they do not."""
+    """Pitches (k,) to which secant steps from a guess converge; NaN where they do not."""
     out = np.full(len(guess), np.nan)
     which: IntArray = np.nonzero(~np.isnan(guess))[0]
     x = np.clip(guess[which], start[which], stop[which])
@@ -89,7 +89,7 @@ def _near(exact: _Surplus, guess: FloatArray, start: FloatArray, stop: FloatArra
 def _anywhere(
     rough: _Surplus, exact: _Surplus, start: FloatArray, stop: FloatArray, *, height_deg: float
 ) -> FloatArray:
-    """The greatest good pitches (k,), NaN for none."""
+    """The highest feasible pitches (k,), NaN for none."""
     guess = last_nonnegative(rough, start, stop, _ROUGH_PRECISION * height_deg, 6)
     guess = np.where(np.isnan(guess), start, guess)
     best = np.full(len(start), np.nan)
@@ -116,26 +116,26 @@ def _anywhere(
 
 
 class _Surplus:
-    """By how much pairs exceed the wanted margins, as a function of the higher rows' pitches."""
+    """The surplus of pairs over the wanted margins, as a function of the upper rows' pitches."""
 
-    def __init__(self, margin: PairMargin, pairs: Pairs, wanted: FloatArray, grain: Grain) -> None:
+    def __init__(self, margin: PairMargin, pairs: Pairs, wanted: FloatArray, resolution: Resolution) -> None:
         self._margin = margin
         self._pairs = pairs
         self._wanted = wanted
-        self._grain = grain
+        self._resolution = resolution
 
     def of(self, which: IntArray) -> _Surplus:
-        """The same of some of the pairs."""
+        """The same for a selection of the pairs."""
         return _Surplus(
-            self._margin, self._pairs.at(which, self._pairs.high_deg[which]), self._wanted[which], self._grain
+            self._margin, self._pairs.at(which, self._pairs.high_deg[which]), self._wanted[which], self._resolution
         )
 
     def __call__(self, which: IntArray, high_deg: FloatArray) -> FloatArray:
         pairs = self._pairs.at(which, high_deg)
-        if self._grain.exact:
-            margins = self._margin.margins(pairs, self._grain)
+        if self._resolution.exact:
+            margins = self._margin.margins(pairs, self._resolution)
         else:
-            margins = self._margin.shared(pairs, self._grain)
+            margins = self._margin.overlap_margins(pairs, self._resolution)
         return np.asarray(margins.max(axis=1) - self._wanted[which])
 
 
@@ -148,7 +148,7 @@ def _settled(
     limits: tuple[FloatArray, FloatArray],
     height_deg: float,
 ) -> FloatArray:
-    """The greatest good pitches (m,) that Newton and secant steps from near ones come to, NaN for none."""
+    """The highest feasible pitches (m,) to which Newton and secant steps converge, NaN for none."""
     x, value = guess
     nudge = 0.02 * height_deg
     slope = np.minimum((rough(which, x) - rough(which, x - nudge)) / nudge, -0.1 / height_deg)
@@ -156,7 +156,7 @@ def _settled(
     open_ones: IntArray = np.arange(len(which))
     for _ in range(2):
         start, stop = limits[0][open_ones], limits[1][open_ones]
-        # aim a little low, so that the answer is on the good side
+        # aim slightly low, so that the result is feasible
         following = np.clip(x + (value - _SETTLED / 3) / -slope, start, stop)
         new = exact(which[open_ones], following)
         good = new >= 0

@@ -1,4 +1,4 @@
-"""Masks: parts of the band that need no cover, and the images that can be left out for them."""
+"""Effect of masks: a smaller band, and images that can be dropped."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _SAMPLES = 9
 _MOST_TRIED = 60
 
 
-def narrowed(constraints: Constraints) -> Constraints:
-    """The constraints with the band cut back where a mask takes its whole upper or lower end."""
+def trim_band(constraints: Constraints) -> Constraints:
+    """The constraints with the band reduced where a mask covers its whole upper or lower end."""
     band = constraints.band
     low, high = band.elevation_min_deg, band.elevation_max_deg
     for _ in constraints.masks:
@@ -38,12 +38,12 @@ def _spans(mask: AngleBox, azimuth_min_deg: float, span_deg: float) -> bool:
     return width >= 360.0 or (azimuth_min_deg - mask.azimuth_min_deg) % 360.0 + span_deg <= width
 
 
-def thinned(camera: Camera, constraints: Constraints, shots: Sequence[Shot]) -> tuple[Shot, ...]:
-    """The shots without those that can be left out because of masks; the certificate decides.
+def drop_redundant_shots(camera: Camera, constraints: Constraints, shots: Sequence[Shot]) -> tuple[Shot, ...]:
+    """The shots without those that masks make redundant; the certificate decides.
 
-    Those that see the least of what needs cover are tried first: all that see nothing of it at once, then one by one.
+    Candidates are tried by the fraction of the domain that they see: first all that see nothing of it, then one by one.
     """
-    needed = _needed(camera, constraints, shots)
+    needed = _domain_fractions(camera, constraints, shots)
     kept = [shot for shot, share in zip(shots, needed.tolist(), strict=True) if share > 0]
     if len(kept) == len(shots) or not _certified(camera, constraints, kept):
         kept = list(shots)
@@ -65,8 +65,8 @@ def _certified(camera: Camera, constraints: Constraints, shots: Sequence[Shot]) 
     return certify_poses(camera, constraints, poses, [shot.row for shot in shots], explain=False).certified
 
 
-def _needed(camera: Camera, constraints: Constraints, shots: Sequence[Shot]) -> FloatArray:
-    """Which share of each image needs cover, roughly."""
+def _domain_fractions(camera: Camera, constraints: Constraints, shots: Sequence[Shot]) -> FloatArray:
+    """Approximate fraction of each image that needs cover, (n,)."""
     domain = Domain.of(constraints.band, constraints.masks)
     width, height = rectangle(camera)[2]
     grid = np.linspace(-1.0, 1.0, _SAMPLES)

@@ -1,9 +1,9 @@
-"""What to ask of rows so that the certificate's C4, which the search does not look at, comes out true.
+"""Demands on rows with which C4, which the search does not evaluate, is satisfied.
 
-First what C2 and C3 ask for. Where C4 then fails, more: that neighbours in a row surely share what makes an edge of the
-graph, then that rows do, in steps. Over a sector, where a single row or column is a chain that breaks at any link, also
-that images two apart in a row share that much, or rows two apart, or that there are at least two rows or two images in
-each.
+First the demands of C2 and C3. If C4 then fails, stronger ones, in steps: neighbours in a row must have the overlap of
+an edge of the graph for every error, then adjacent rows too. Over a sector, where a single row or column is a chain in
+which every edge is a bridge, also: images two apart in a row must have that overlap, or rows two apart, or there must
+be at least two rows or two images in each.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ _TO_SPARE = 0.03
 class Variant:
     """One set of demands.
 
-    Attributes:
-        demands: on rows.
-        loss: what errors take from overlaps between rows.
-        group: variants of a later group ask for more than those of an earlier one; within a group any may be the best.
+    demands: on rows.
+    loss: largest loss of overlap between rows by pointing errors.
+    group: variants of a later group have stronger demands than those of an earlier one; within a group any may be
+        the best.
     """
 
     demands: Demands
@@ -48,7 +48,7 @@ class Variant:
 
 
 def variants(camera: Camera, constraints: Constraints) -> Iterator[Variant]:
-    """All sets of demands worth trying, the least first."""
+    """All sets of demands to try, the weakest first."""
     worst_h = constraints.overlap_h if constraints.guarantee == "all" else 0.0
     worst_v = constraints.overlap_v if constraints.guarantee == "all" else 0.0
     loss = None if constraints.tolerance.is_zero else _Loss(camera, constraints)
@@ -89,22 +89,22 @@ def variants(camera: Camera, constraints: Constraints) -> Iterator[Variant]:
 
 
 def _chain_overlap(camera: Camera) -> float:
-    """Overlap of rows with which rows two apart share what makes an edge."""
+    """Overlap of adjacent rows at which rows two apart have the overlap of an edge of the graph."""
     half, height = camera.half_height, math.radians(camera.vfov_deg)
     twice = height / 2 + math.atan(half * (1 - 2 * (_SURE + 0.01)))
     return (half - math.tan(twice / 2 - height / 2)) / (2 * half)
 
 
 def worst_loss(camera: Camera, constraints: Constraints) -> Loss:
-    """What errors take at the most from the overlap of an image with the next row, by the image's pitch."""
+    """The largest loss by pointing errors of the overlap with the adjacent row, as a function of the image's pitch."""
     return _Loss(camera, constraints)
 
 
 class _Loss:
     """See `worst_loss`.
 
-    Measured for rows at their usual distance at a few pitches, when first asked for; between them it is taken for
-    linear, and above the horizon for the mirror image of below.
+    Measured on first use, for rows at their usual distance at a few pitches; interpolated linearly between them, and
+    mirrored above the horizon.
     """
 
     def __init__(self, camera: Camera, constraints: Constraints) -> None:
@@ -118,7 +118,7 @@ class _Loss:
     @cached_property
     def _measured(self) -> tuple[FloatArray, FloatArray]:
         steepness = np.linspace(0.0, 90.0, _NODES)
-        # so near to each other that there is something to lose, then as near as what is lost brings them
+        # first at a distance with some overlap to lose, then at the distance that compensates the loss
         step = _LOSS_STEP * self._camera.vfov_deg
         losses = np.array([_loss_at(self._camera, self._constraints, -s, step) for s in steepness.tolist()])
         overlap = self._constraints.overlap_v + 1.5 * float(losses.max()) + _TO_SPARE

@@ -15,8 +15,8 @@ from panoexec.sim.mavlink.component import NAN, Command, Component, bitmask, com
 from panoexec.sim.mavlink.dialect import mavlink
 from panoexec.sim.mavlink.gimbal_component import GimbalComponent
 from panoexec.sim.mavlink.wire import Link, Message, Sender
-from panoexec.sim.physics.camera import CameraModel, Exposure, Look, Refusal
-from panoexec.sim.physics.following import GRAIN_S
+from panoexec.sim.physics.camera import CameraModel, Exposure, GimbalState, Refusal
+from panoexec.sim.physics.following import TIME_RESOLUTION_S
 from panoexec.sim.physics.gimbal import Angles, GimbalPhysics, quaternion
 from panoexec.sim.physics.world import SimClock, Timeline
 
@@ -24,7 +24,7 @@ COMPONENT_ID = mavlink.MAV_COMP_ID_CAMERA
 VENDOR = "panoexec"
 _URL_BYTES = 205
 _RETRANSMISSION_S = 0.8
-"""Wall time within which a repeated command is a retransmission; MAVSDK repeats after 0.5 s."""
+"""Wall time within which a repeated command counts as a retransmission; MAVSDK retransmits after 0.5 s."""
 _RETRANSMISSIONS = 3
 _POSITION_INTERVAL_US = 200_000
 _POSITION_LOST_S = 3.0
@@ -36,7 +36,7 @@ _OLD_REQUESTS = {
     mavlink.MAV_CMD_REQUEST_STORAGE_INFORMATION: mavlink.MAVLINK_MSG_ID_STORAGE_INFORMATION,
     mavlink.MAV_CMD_REQUEST_CAMERA_CAPTURE_STATUS: mavlink.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS,
 }
-"""Commands from before MAV_CMD_REQUEST_MESSAGE, which some programs still send."""
+"""Commands that preceded MAV_CMD_REQUEST_MESSAGE, which some programs still send."""
 
 _REFUSALS = {
     Refusal.BUSY: mavlink.MAV_RESULT_TEMPORARILY_REJECTED,
@@ -47,7 +47,7 @@ _REFUSALS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fix:
-    """Where the camera was told that it is."""
+    """Position of the camera as received from the autopilot."""
 
     latitude_deg: float = 0.0
     longitude_deg: float = 0.0
@@ -58,7 +58,7 @@ class Fix:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotoCommand:
-    """The photo command that came last, and how it was answered (None = not at all)."""
+    """The last photo command and its acknowledgement (None = none sent)."""
 
     command: Command
     sent_s: float
@@ -66,10 +66,10 @@ class PhotoCommand:
     repeats: int = 0
 
     def is_repeated_by(self, other: Command, wall_s: float) -> bool:
-        """Whether another command is this one again.
+        """Whether another command is a retransmission of this one.
 
-        A retransmission counts up `confirmation`; MAVSDK's does not, and is only told from a new command by its
-        sequence number (param4) and by coming soon after one that was not answered.
+        A retransmission increments `confirmation`. MAVSDK's does not; it is recognised by its sequence number (param4)
+        and by arriving soon after a command that was not acknowledged.
         """
         same = other.sender == self.command.sender and other.params == self.command.params
         if not same or wall_s > _RETRANSMISSION_S or self.repeats >= _RETRANSMISSIONS:
@@ -78,11 +78,11 @@ class PhotoCommand:
 
 
 class CameraComponent:
-    """Takes photos on command, reports each, keeps its storage's account.
+    """Takes photos on command, reports each photo, and reports its storage.
 
     Attributes:
         model: the camera's behaviour.
-        fix: the newest position that the autopilot told.
+        fix: the newest position received from the autopilot.
     """
 
     def __init__(
@@ -119,9 +119,9 @@ class CameraComponent:
         self.model = CameraModel(
             config.camera,
             timeline,
-            look=lambda: look_at(gimbal.physics, timeline.now_s),
+            look=lambda: gimbal_state(gimbal.physics, timeline.now_s),
             on_exposed=self._exposed,
-            grain_s=0.0 if config.attach_url is None else GRAIN_S,
+            time_resolution_s=0.0 if config.attach_url is None else TIME_RESOLUTION_S,
         )
         self._component = Component(
             timeline=timeline, sender=Sender(config.system_id, COMPONENT_ID), link=link, heartbeat=self._heartbeat
@@ -141,14 +141,14 @@ class CameraComponent:
         self._component.start(phase_s=0.6)
 
     def set_storage_full(self, *, full: bool) -> None:
-        """Fill the storage, or make room again; said unasked, as the protocol wants it of every change (261)."""
+        """Fill the storage, or free it; STORAGE_INFORMATION (261) is sent at every change, as the protocol demands."""
         if full != self.model.storage_full:
             self.model.storage_full = full
             if self._is_there:
                 self._component.send(self._storage())
 
     def receive(self, message: Message) -> None:
-        """Take one message."""
+        """Handle a message."""
         kind = message.get_type()
         if kind == "GLOBAL_POSITION_INT" and message.get_srcSystem() == self._system_id:
             self._fix_s = self._timeline.now_s
@@ -160,7 +160,7 @@ class CameraComponent:
                 heading_deg=message.hdg * 1e-2,
             )
         elif kind == "HEARTBEAT":
-            # an autopilot forgets at its reboot what it was asked for
+            # a reboot resets the autopilot's message intervals: request the position again
             lost = self._timeline.now_s - self._fix_s > _POSITION_LOST_S
             if lost and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
                 self._ask_for_position()
@@ -187,7 +187,7 @@ class CameraComponent:
         )
 
     def _command(self, command: Command) -> int | None:
-        """Do what a command says; MAV_RESULT, or None for no answer at all."""
+        """Execute a command; return the MAV_RESULT, or None for no acknowledgement."""
         captured = mavlink.MAVLINK_MSG_ID_CAMERA_IMAGE_CAPTURED
         if command.id == mavlink.MAV_CMD_REQUEST_MESSAGE and command.params[0] == captured:
             return self._again(int(command.params[1]))
@@ -209,7 +209,7 @@ class CameraComponent:
         return int(mavlink.MAV_RESULT_ACCEPTED if image else mavlink.MAV_RESULT_UNSUPPORTED)
 
     def _again(self, index: int) -> int:
-        """Send the message of an earlier photo once more."""
+        """Send the message of an earlier photo again."""
         message = self._captured.get(index)
         if message is None:
             return int(mavlink.MAV_RESULT_DENIED)
@@ -220,7 +220,7 @@ class CameraComponent:
         now = self._timeline.now_s
         last = self._last_photo
         if last is not None and last.is_repeated_by(command, (now - last.sent_s) / self._clock.speedup):
-            # the sender saw no answer: answer it again if it was answered, do not take two photos
+            # the sender got no acknowledgement: acknowledge again if it was acknowledged, and take no second photo
             self._last_photo = replace(last, sent_s=now, repeats=last.repeats + 1)
             return last.result
         self._faults.photo_commanded(now)
@@ -240,7 +240,7 @@ class CameraComponent:
         self._sequence_left = max(0, total - 1) if total else 1 << 30
         if self._sequence_left:
             self._schedule_next(max(command.params[1], self._config.interval_s))
-        slip_if_drifting(self._faults, self._gimbal.physics)
+        apply_drift_fault(self._faults, self._gimbal.physics)
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def _schedule_next(self, interval_s: float) -> None:
@@ -340,13 +340,13 @@ class CameraComponent:
         )
 
 
-def look_at(physics: GimbalPhysics, now_s: float) -> Look:
-    """The gimbal at this moment, for a camera."""
-    return Look(truth=physics.truth_at(now_s), estimate=physics.estimate, measured=Angles(*physics.measure()))
+def gimbal_state(physics: GimbalPhysics, now_s: float) -> GimbalState:
+    """The gimbal's state at this moment, for a camera."""
+    return GimbalState(truth=physics.truth_at(now_s), estimate=physics.estimate, measured=Angles(*physics.measure()))
 
 
-def slip_if_drifting(faults: Faults, physics: GimbalPhysics) -> None:
-    """Let the gimbal run away if the fault `drift` strikes the photo commanded last."""
+def apply_drift_fault(faults: Faults, physics: GimbalPhysics) -> None:
+    """Start a pointing drift if the fault `drift` applies to the last photo command."""
     if faults.photo("drift"):
         rng, size = faults.generator("drift"), faults.size("drift")
         signed = size * rng.choice((-1.0, 1.0))

@@ -1,4 +1,4 @@
-"""What every MAVLink component does alike: heartbeat, acknowledgements, messages on request, intervals."""
+"""Common behaviour of MAVLink components: heartbeat, acknowledgements, messages on request, message intervals."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from panoexec.sim.mavlink.wire import Link, Message, Sender
 from panoexec.sim.physics.world import Repeater, Timeline
 
 Builder: TypeAlias = Callable[[], Message | None]
-"""Makes a message of the moment; None when there is nothing to say."""
+"""Builds a message with the current values; None if there is nothing to send."""
 
 NAN = float("nan")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Command:
-    """COMMAND_LONG or COMMAND_INT, made alike.
+    """COMMAND_LONG or COMMAND_INT in a common form.
 
     Attributes:
         id: MAV_CMD.
@@ -35,7 +35,7 @@ class Command:
 
 
 def command_of(message: Message) -> Command | None:
-    """The command in a message, None if it is no command."""
+    """The command in a message, None for other messages."""
     kind = message.get_type()
     if kind == "COMMAND_LONG":
         tail, confirmation = (message.param5, message.param6, message.param7), message.confirmation
@@ -52,12 +52,12 @@ def command_of(message: Message) -> Command | None:
 
 
 def padded(text: str, size: int) -> list[int]:
-    """A name as a fixed-size array of bytes, cut or filled with zeros."""
+    """A name as a fixed-size array of bytes, truncated or padded with zeros."""
     return list(text.encode()[:size].ljust(size, b"\0"))
 
 
 class Streams:
-    """The messages that a component sends by itself on one link, each at its own interval; forgets them on `clear`."""
+    """The messages that a component streams on one link, each at its own interval; `clear` resets them."""
 
     def __init__(self, timeline: Timeline, builders: Mapping[int, Builder], send: Callable[[Message], None]) -> None:
         self._timeline = timeline
@@ -83,7 +83,7 @@ class Streams:
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def interval_us(self, message_id: int) -> int:
-        """The interval, -1 if it is not sent."""
+        """The interval in microseconds, -1 if it is not streamed."""
         repeater = self._repeaters.get(message_id)
         return round(repeater.interval_s * 1e6) if repeater is not None and repeater.interval_s else -1
 
@@ -102,8 +102,8 @@ class Component:
     """A component with one identity on one link.
 
     Attributes:
-        builders: the messages that it can make, by id.
-        streams: those that it sends by itself.
+        builders: builders of its messages, by id.
+        streams: the messages that it streams.
     """
 
     def __init__(self, *, timeline: Timeline, sender: Sender, link: Link, heartbeat: Builder) -> None:
@@ -119,7 +119,7 @@ class Component:
         self._beat.start(1.0, first_after_s=phase_s)
 
     def stop(self) -> None:
-        """Send nothing by itself any more."""
+        """Stop heartbeat and streams."""
         self._beat.stop()
         self.streams.clear()
 
@@ -134,7 +134,7 @@ class Component:
         return system in (0, self.sender.system_id) and component in (0, self.sender.component_id)
 
     def is_addressed(self, message: Message) -> bool:
-        """Whether a message is for this component by name; commands to all are the autopilot's business."""
+        """Whether a message names this component as target; commands to all are handled by the autopilot."""
         return self.is_for_me(message) and getattr(message, "target_component", 0) == self.sender.component_id
 
     def acknowledge(self, command: Command, result: int) -> None:
@@ -153,7 +153,7 @@ class Component:
             unknown_message: MAV_RESULT for a request of a message that the component does not have.
 
         Returns:
-            MAV_RESULT of what is done; None if it is another command, or was acknowledged here already.
+            MAV_RESULT; None for another command, or if it was acknowledged here already.
         """
         if command.id == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
             return self.streams.set_interval(int(command.params[0]), command.params[1])
@@ -166,7 +166,7 @@ class Component:
         return None
 
     def request(self, message_id: int, unknown: int = mavlink.MAV_RESULT_UNSUPPORTED) -> int:
-        """Send one message on request: the acknowledgement is the caller's business and comes after it."""
+        """Send one message on request; the caller sends the acknowledgement afterwards."""
         build = self.builders.get(message_id)
         message = build() if build is not None else None
         if message is None:
@@ -176,7 +176,7 @@ class Component:
 
 
 def bitmask(flags: Iterable[int]) -> int:
-    """The sum of distinct flags."""
+    """The bitwise union of distinct flags."""
     total = 0
     for flag in flags:
         total |= flag

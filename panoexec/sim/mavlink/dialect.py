@@ -1,4 +1,4 @@
-"""The one place where pymavlink is imported: MAVLink 2 with ArduPilot's messages, chosen before the import.
+"""The only import of pymavlink: MAVLink 2 with ArduPilot's dialect, selected before the import.
 
 pymavlink reads `MAVLINK20` and `MAVLINK_DIALECT` when it is first imported; without them the gimbal messages of
 protocol version 2 (280 to 288) do not exist.

@@ -19,7 +19,7 @@ COMPONENT_ID = mavlink.MAV_COMP_ID_GIMBAL
 VENDOR, MODEL = "panoexec", "simulated gimbal"
 _ATTITUDE_S = 0.02
 _LIMIT_MARGIN_DEG = 0.05
-"""ArduPilot makes whole degrees of the limits, rounding towards 0: an exact -90 would become -89 and hide the nadir."""
+"""ArduPilot truncates the limits to whole degrees: an exact -90 would become -89 and exclude the nadir."""
 _UID = 0x50414E4F0154
 
 _CAPABILITIES = bitmask(
@@ -43,11 +43,11 @@ _LOCKS_LEVEL = mavlink.GIMBAL_DEVICE_FLAGS_ROLL_LOCK | mavlink.GIMBAL_DEVICE_FLA
 
 
 class GimbalComponent:
-    """Obeys GIMBAL_DEVICE_SET_ATTITUDE, streams its own measured attitude relative to the vehicle's nose.
+    """Executes GIMBAL_DEVICE_SET_ATTITUDE and streams its measured attitude relative to the vehicle's nose.
 
     Attributes:
-        physics: the mechanics behind it.
-        vehicle_yaw_deg: the heading that the autopilot told last (286), NaN before; with its rate, degrees a second.
+        physics: the gimbal's mechanics.
+        vehicle_yaw_deg: the heading last received from the autopilot (286), NaN before; and its rate, deg/s.
     """
 
     def __init__(
@@ -74,12 +74,12 @@ class GimbalComponent:
         self._frozen_nose_deg = 0.0
 
     def start(self) -> None:
-        """Start the heartbeat and the attitude stream, both of which a gimbal sends unasked."""
+        """Start the heartbeat and the attitude stream; a gimbal device sends both without a request."""
         self._component.start(phase_s=0.3)
         self._attitude_stream.start(_ATTITUDE_S)
 
     def measured(self) -> Angles:
-        """A measurement of the moment: yaw relative to the vehicle's nose; what faults do to it is in it."""
+        """A measurement at this moment, yaw relative to the vehicle's nose; includes the effects of faults."""
         now = self._timeline.now_s
         if self._faults.active("attitude-nan", now):
             return Angles(NAN, NAN, NAN)
@@ -95,7 +95,7 @@ class GimbalComponent:
         return Angles(yaw - self.physics.nose_deg, roll, pitch)
 
     def receive(self, message: Message) -> None:
-        """Take one message."""
+        """Handle a message."""
         kind = message.get_type()
         if kind == "GIMBAL_DEVICE_SET_ATTITUDE":
             if self._component.is_for_me(message):
@@ -148,7 +148,7 @@ class GimbalComponent:
         )
 
     def attitude_status(self) -> Message:
-        """GIMBAL_DEVICE_ATTITUDE_STATUS (285) of the moment: angles and rates relative to the vehicle's nose."""
+        """GIMBAL_DEVICE_ATTITUDE_STATUS (285) at this moment: angles and rates relative to the vehicle's nose."""
         measured, lock = self.measured(), self.physics.target.yaw_lock
         nose_deg = self.physics.nose_deg if self._frozen is None else self._frozen_nose_deg
         turning = self.vehicle_yaw_rate_deg_s

@@ -1,8 +1,8 @@
-"""The autopilot's gimbal manager (MAVLink gimbal protocol v2), as ArduPilot and PX4 do it.
+"""The autopilot's gimbal manager (MAVLink gimbal protocol v2), as implemented by ArduPilot and PX4.
 
-What differs: ArduPilot names its gimbal 1, answers for it alone, and lets anybody point it whoever is in control; PX4
-names the device's component and refuses who is not in control. ArduPilot sends the target to the device all the time,
-and passes its attitude on under its own name when asked to.
+Differences: ArduPilot numbers its gimbal 1, is the only one to answer for it, and accepts setpoints from anybody,
+whoever is in control; PX4 uses the device's component id and denies commands of senders that are not in control.
+ArduPilot sends the target to the device continuously, and forwards its attitude under its own id on request.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ _CAPABILITIES = bitmask(
 
 
 class GimbalManager:
-    """Who is in control, where the gimbal shall point, what is reported.
+    """Gimbal control, setpoint, and reports.
 
     Attributes:
-        primary: (system, component) in control, (0, 0) = nobody.
+        primary: (system, component) in control, (0, 0) = none.
     """
 
     def __init__(
@@ -77,11 +77,11 @@ class GimbalManager:
 
     @property
     def device_id(self) -> int:
-        """The gimbal's number in the manager's messages."""
+        """The gimbal device id in the manager's messages."""
         return int(mavlink.MAV_COMP_ID_GIMBAL) if self._is_px4 and self._to_device else 1
 
     def forget(self) -> None:
-        """The autopilot restarts: nobody is in control, the gimbal looks ahead."""
+        """Reset at a reboot of the autopilot: nobody is in control, the gimbal points ahead."""
         self.primary = (0, 0)
         self._target = Target()
         self._reported = None
@@ -100,7 +100,7 @@ class GimbalManager:
         return self._point(pitch, yaw, pitch_rate, yaw_rate, flags)
 
     def set_pitchyaw(self, message: Message) -> None:
-        """GIMBAL_MANAGER_SET_PITCHYAW (287): as the command, in radians, without an answer."""
+        """GIMBAL_MANAGER_SET_PITCHYAW (287): as the command, in radians, without acknowledgement."""
         sender = (message.get_srcSystem(), message.get_srcComponent())
         if not self._is_px4 or self.primary == sender:
             angles = (math.degrees(a) for a in (message.pitch, message.yaw, message.pitch_rate, message.yaw_rate))
@@ -108,7 +108,7 @@ class GimbalManager:
             self._point(pitch, yaw, pitch_rate, yaw_rate, message.flags)
 
     def set_attitude(self, message: Message) -> None:
-        """GIMBAL_MANAGER_SET_ATTITUDE (282); ArduPilot makes pitch and yaw of the quaternion, so does this."""
+        """GIMBAL_MANAGER_SET_ATTITUDE (282); as in ArduPilot, the quaternion is converted to pitch and yaw."""
         sender = (message.get_srcSystem(), message.get_srcComponent())
         if self._is_px4 and self.primary != sender:
             return
@@ -143,7 +143,7 @@ class GimbalManager:
         if flags & _AHEAD:
             self._target = Target()
         elif not (math.isnan(pitch) or math.isnan(yaw)):
-            # beyond the limits: accepted and cut, nobody is told
+            # beyond the limits: accepted and clipped, without notice
             pitch = min(max(pitch, limits.min_deg), limits.max_deg)
             self._target = Target(pitch_deg=pitch, yaw_deg=yaw, yaw_lock=bool(flags & _LOCK_YAW))
         elif not (math.isnan(pitch_rate) or math.isnan(yaw_rate)):
@@ -161,7 +161,7 @@ class GimbalManager:
         self._changed(self.status())
 
     def send_target(self) -> None:
-        """Tell the device where to point: GIMBAL_DEVICE_SET_ATTITUDE (284), or the servos directly."""
+        """Send the target to the device: GIMBAL_DEVICE_SET_ATTITUDE (284), or to the servos directly."""
         target = self._target
         if self._to_device is None:
             self._physics.command(target)
@@ -186,7 +186,7 @@ class GimbalManager:
         self._reported = tuple(message.q)
 
     def attitude_status(self) -> Message | None:
-        """GIMBAL_DEVICE_ATTITUDE_STATUS under the autopilot's name: the device's last, or the servos' demand."""
+        """GIMBAL_DEVICE_ATTITUDE_STATUS under the autopilot's id: the device's last one, or the servos' demand."""
         q = self._reported if self._to_device is not None else self._demanded()
         if q is None:
             return None
@@ -198,9 +198,9 @@ class GimbalManager:
         )
 
     def _demanded(self) -> tuple[float, ...]:
-        """The servo angles that keep the camera where it shall point, relative to the *airframe*: no feedback."""
+        """The servo angles that point the camera at the setpoint, relative to the *airframe*: not measured."""
         target, state = self._target, self._airframe_state()
-        # the servo mount has no rate of its own to report: while it turns at a rate it demands where it is
+        # the servo mount reports no rate: while it moves at a rate, its demand is the current angle
         physics = self._physics.estimate
         pitch = physics.pitch_deg if target.rates else target.pitch_deg
         yaw = (physics.yaw_deg if target.rates else target.yaw_deg) - (
@@ -234,7 +234,7 @@ class GimbalManager:
 
 
 def _euler_quaternion(roll_deg: float, pitch_deg: float, yaw_deg: float) -> tuple[float, ...]:
-    """`[w, x, y, z]` of the 3-2-1 angles that autopilots use."""
+    """`[w, x, y, z]` of 3-2-1 angles, the convention of autopilots."""
     half = math.pi / 360
     cr, sr = math.cos(roll_deg * half), math.sin(roll_deg * half)
     cp, sp = math.cos(pitch_deg * half), math.sin(pitch_deg * half)

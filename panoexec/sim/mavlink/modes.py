@@ -1,4 +1,4 @@
-"""Flight modes by name, as each autopilot numbers them in HEARTBEAT.custom_mode."""
+"""Flight modes by name, with each autopilot's numbers in HEARTBEAT.custom_mode."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ _PX4 = {
 }
 
 
-class ModeBook:
-    """The current mode and how it is told.
+class FlightModes:
+    """The current flight mode and its encoding.
 
     Attributes:
-        custom_mode: as in HEARTBEAT.
+        custom_mode: value of HEARTBEAT.custom_mode.
     """
 
     def __init__(self, autopilot: AutopilotKind) -> None:
@@ -48,7 +48,7 @@ class ModeBook:
         self.custom_mode = self._numbers[name]
 
     def set_from_command(self, main: float, sub: float) -> bool:
-        """MAV_CMD_DO_SET_MODE's param2 and param3; False if there is no such mode."""
+        """Set the mode by param2 and param3 of MAV_CMD_DO_SET_MODE; False if there is no such mode."""
         number = int(main) << 16 | int(sub) << 24 if self._is_px4 else int(main)
         if number not in self._numbers.values():
             return False
@@ -56,26 +56,26 @@ class ModeBook:
         return True
 
     def base_mode(self, *, armed: bool) -> int:
-        """HEARTBEAT.base_mode."""
+        """Value of HEARTBEAT.base_mode."""
         mode = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
         return int(mode | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0))
 
     @property
     def pilot_mode(self) -> str:
-        """Where a pilot who takes over goes."""
+        """The mode of a pilot who takes over manually."""
         return "STABILIZED" if self._is_px4 else "STABILIZE"
 
     @property
     def land_mode(self) -> str:
-        """The mode that lands."""
+        """The landing mode."""
         return "LAND"
 
     @property
     def is_guided(self) -> bool:
-        """Whether it flies where a program tells it to."""
+        """Whether a program controls the flight (GUIDED, OFFBOARD)."""
         return self.custom_mode == self._numbers["LOITER" if self._is_px4 else "GUIDED"]
 
     @property
     def is_landing(self) -> bool:
-        """Whether the mode lands where it is."""
+        """Whether the mode lands at the current position."""
         return self.custom_mode == self._numbers[self.land_mode]

@@ -1,4 +1,4 @@
-"""The way out of a simulation, on which it may tell its time."""
+"""The external link of a simulation, which can also carry its time."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from panoexec.sim.physics.world import Timeline
 
 
 class Outlet:
-    """The link to the world, which may be replaced while the simulation runs.
+    """The external link; it may be replaced while the simulation runs.
 
     Attributes:
-        link: the one of the moment.
-        timeline: whose time is told before the messages of each moment; None tells none.
+        link: the current link.
+        timeline: whose time is sent before the messages of each moment; None sends no time.
     """
 
     name = "world"
@@ -30,7 +30,7 @@ class Outlet:
         self.link.send(frame, message)
 
     def tell_time(self) -> None:
-        """Say what time it is, once a moment, if it shall be told."""
+        """Send the simulated time once per moment, if enabled."""
         if self.timeline is None or self.timeline.now_s == self._told_s:
             return
         self._told_s = self.timeline.now_s

@@ -1,4 +1,4 @@
-"""The few autopilot parameters that concern the payload, for programs that read them (PARAM_* messages)."""
+"""The autopilot parameters of the payload, for programs that read them (PARAM_* messages)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
 
 
 class Parameters:
-    """Reads, lists and sets parameters; a change of value has no effect on the simulation."""
+    """Parameter protocol: read, list and set; a new value has no effect on the simulation."""
 
     def __init__(self, config: SimConfig) -> None:
         gimbal = config.gimbal
@@ -30,7 +30,7 @@ class Parameters:
             self._values = {"MAV_SYS_ID": config.system_id, "MNT_MODE_IN": 4, "MNT_MODE_OUT": 2}
 
     def answers(self, message: Message) -> list[Message]:
-        """What to send in answer to a PARAM_REQUEST_READ, PARAM_REQUEST_LIST or PARAM_SET; nothing to others."""
+        """The reply to a PARAM_REQUEST_READ, PARAM_REQUEST_LIST or PARAM_SET; empty for other messages."""
         kind = message.get_type()
         if kind == "PARAM_REQUEST_LIST":
             return [self._value(name) for name in self._values]

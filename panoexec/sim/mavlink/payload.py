@@ -1,7 +1,6 @@
-"""The payload on the wire: a MAVLink gimbal (component 154) and a MAVLink camera (component 100) that share one link.
+"""The payload on the wire: a MAVLink gimbal (component 154) and a MAVLink camera (component 100) on one link.
 
-It neither knows nor cares whether the autopilot at the other end is the embedded one or a real ArduPilot with
-`MNT1_TYPE` 6.
+It works with the embedded autopilot and with a real ArduPilot with `MNT1_TYPE` 6 alike.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ class Payload:
     Attributes:
         gimbal: component 154.
         camera: component 100.
-        released: instead of that, a camera that an autopilot triggers without a word to it; None where there is none.
+        released: instead of that, a camera that an autopilot triggers by a contact; None if there is none.
     """
 
     def __init__(
@@ -54,7 +53,7 @@ class Payload:
             self.camera.start()
 
     def receive(self, message: Message, frame: bytes) -> None:
-        """Take one message from the link."""
+        """Handle a message from the link."""
         del frame
         self.gimbal.receive(message)
         if self.released is None:

@@ -1,7 +1,7 @@
-"""The camera at the other end of a shutter cable, where a real autopilot closes the contact (CAM1_TYPE 1 or 2).
+"""The camera on a shutter cable whose contact a real autopilot closes (CAM1_TYPE 1 or 2).
 
 A payload on a serial port does not see the servo's or relay's signal. It sees CAMERA_FEEDBACK (180), which the
-autopilot sends to all its links at the trigger, and exposes then. Of itself it tells nothing: no heartbeat, no message.
+autopilot sends on all its links at the trigger, and exposes then. It sends no messages itself, not even a heartbeat.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from collections.abc import Callable
 
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import Faults
-from panoexec.sim.mavlink.camera_component import Fix, look_at, slip_if_drifting
+from panoexec.sim.mavlink.camera_component import Fix, apply_drift_fault, gimbal_state
 from panoexec.sim.mavlink.dialect import mavlink
 from panoexec.sim.mavlink.wire import Message
 from panoexec.sim.physics.camera import CameraModel, Exposure
-from panoexec.sim.physics.following import GRAIN_S
+from panoexec.sim.physics.following import TIME_RESOLUTION_S
 from panoexec.sim.physics.gimbal import GimbalPhysics
 from panoexec.sim.physics.world import Timeline
 
 
 class ReleasedCamera:
-    """Exposes whenever the autopilot says that it has triggered.
+    """Exposes whenever the autopilot reports a trigger.
 
     Attributes:
         model: shutter and storage.
@@ -44,13 +44,13 @@ class ReleasedCamera:
         self.model = CameraModel(
             config.camera,
             timeline,
-            look=lambda: look_at(physics, timeline.now_s),
+            look=lambda: gimbal_state(physics, timeline.now_s),
             on_exposed=self._exposed,
-            grain_s=GRAIN_S,
+            time_resolution_s=TIME_RESOLUTION_S,
         )
 
     def receive(self, message: Message) -> None:
-        """Take one message of the link."""
+        """Handle a message of the link."""
         if message.get_type() != "CAMERA_FEEDBACK" or message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:
             return
         self._faults.photo_commanded(self._timeline.now_s)
@@ -62,7 +62,7 @@ class ReleasedCamera:
             heading_deg=math.nan,
         )
         self.model.shoot()
-        slip_if_drifting(self._faults, self._physics)
+        apply_drift_fault(self._faults, self._physics)
 
     def _exposed(self, exposure: Exposure) -> None:
         assert self._fix is not None

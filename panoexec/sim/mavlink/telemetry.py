@@ -1,4 +1,4 @@
-"""What the embedded autopilot says of itself: one builder a message, ArduPilot's and PX4's habits side by side."""
+"""Telemetry of the embedded autopilot: one builder per message, with the differences between ArduPilot and PX4."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable
 from panoexec.sim.config import SimConfig
 from panoexec.sim.mavlink.component import NAN, Builder, bitmask
 from panoexec.sim.mavlink.dialect import mavlink
-from panoexec.sim.mavlink.modes import ModeBook
+from panoexec.sim.mavlink.modes import FlightModes
 from panoexec.sim.mavlink.wire import Message
 from panoexec.sim.physics.airframe import Airframe
 from panoexec.sim.physics.world import SimClock, seeded
@@ -56,7 +56,7 @@ class Telemetry:
         boot_ms: Callable[[], int],
         airframe: Airframe,
         heading_error_deg: Callable[[], float],
-        modes: ModeBook,
+        modes: FlightModes,
     ) -> None:
         self._config = config
         self._clock = clock
@@ -136,7 +136,7 @@ class Telemetry:
         """AUTOPILOT_STATE_FOR_GIMBAL_DEVICE (286)."""
         velocity = self._airframe.position().velocity_m_s
         _, rates = self._attitude()
-        # ArduPilot never fills it in
+        # ArduPilot does not fill it in
         landed = 0 if self._config.autopilot == "ardupilot" else self._airframe.landed_state
         return mavlink.MAVLink_autopilot_state_for_gimbal_device_message(
             self._config.system_id,

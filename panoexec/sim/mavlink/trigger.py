@@ -1,7 +1,7 @@
-"""A camera on a servo or relay of the autopilot (ArduPilot's CAM1_TYPE 1): no name, no size, no proof but a count.
+"""A camera on a servo or relay of the autopilot (ArduPilot's CAM1_TYPE 1): no name, no size, no evidence but a count.
 
-It answers as component 1: CAMERA_INFORMATION without contents, and CAMERA_FEEDBACK (180) at the trigger, with the
-vehicle's attitude. Photos are exposed and developed all the same.
+The autopilot (component 1) answers for it: CAMERA_INFORMATION without contents, and CAMERA_FEEDBACK (180) at the
+trigger, with the vehicle's attitude. Photos are exposed and rendered as usual.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import Faults
-from panoexec.sim.mavlink.camera_component import Fix, PhotoCommand, look_at, slip_if_drifting
+from panoexec.sim.mavlink.camera_component import Fix, PhotoCommand, apply_drift_fault, gimbal_state
 from panoexec.sim.mavlink.component import NAN, Builder, Command
 from panoexec.sim.mavlink.dialect import mavlink
 from panoexec.sim.mavlink.wire import Message
@@ -23,10 +23,10 @@ from panoexec.sim.physics.world import SimClock, Timeline
 
 
 class CameraTrigger:
-    """Closes a contact and says so.
+    """Closes a contact and reports it.
 
     Attributes:
-        commands: the commands that it answers.
+        commands: the commands that it handles.
         model: the camera at the other end of the wire.
     """
 
@@ -60,15 +60,15 @@ class CameraTrigger:
         self._airframe: Airframe | None = None
         self._send: Callable[[Message], None] = lambda _: None
         self.model = CameraModel(
-            config.camera, timeline, look=lambda: look_at(physics, timeline.now_s), on_exposed=self._exposed
+            config.camera, timeline, look=lambda: gimbal_state(physics, timeline.now_s), on_exposed=self._exposed
         )
 
     def connect(self, *, boot_ms: Callable[[], int], airframe: Airframe, send: Callable[[Message], None]) -> None:
-        """Join it to its autopilot."""
+        """Connect it to its autopilot."""
         self._boot_ms, self._airframe, self._send = boot_ms, airframe, send
 
     def builders(self) -> dict[int, Builder]:
-        """The messages that the autopilot answers on its behalf."""
+        """The messages that the autopilot sends on its behalf."""
         return {
             mavlink.MAVLINK_MSG_ID_CAMERA_INFORMATION: self._information,
             mavlink.MAVLINK_MSG_ID_CAMERA_SETTINGS: self._settings,
@@ -77,7 +77,7 @@ class CameraTrigger:
         }
 
     def command(self, command: Command) -> int | None:
-        """Trigger; accepted whether or not a photo comes of it."""
+        """Trigger; the command is accepted whether or not a photo results."""
         accepted = int(mavlink.MAV_RESULT_ACCEPTED)
         if command.id == mavlink.MAV_CMD_DO_DIGICAM_CONTROL and command.params[4] < 0.5:
             return accepted
@@ -99,7 +99,7 @@ class CameraTrigger:
             return int(mavlink.MAV_RESULT_DENIED)
         self._count += 1
         self.model.shoot()
-        slip_if_drifting(self._faults, self._physics)
+        apply_drift_fault(self._faults, self._physics)
         if not self._faults.photo("capture-lost"):
             message = self._last_feedback = self._feedback()
             self._send(message)

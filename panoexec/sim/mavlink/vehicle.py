@@ -1,8 +1,8 @@
-"""The embedded autopilot: one MAVLink component (1) between the ground and the payload, with a real one's habits.
+"""The embedded autopilot: one MAVLink component (1) that routes between the ground and the payload.
 
-Like ArduPilot it routes: what the payload broadcasts goes to the ground and the other way round; what is addressed goes
-where the addressee was heard. It streams nothing until asked (PX4: a few messages by itself) and forgets all that was
-asked when it restarts.
+Routing is as in ArduPilot: broadcasts of the payload go to the ground and vice versa; an addressed message goes to the
+link on which the addressee was heard. No message is streamed until it is requested (PX4: a few by default); a reboot
+resets all message intervals.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from panoexec.sim.faults import Faults
 from panoexec.sim.mavlink.component import Command, Component, command_of
 from panoexec.sim.mavlink.dialect import mavlink
 from panoexec.sim.mavlink.manager import GimbalManager
-from panoexec.sim.mavlink.modes import ModeBook
+from panoexec.sim.mavlink.modes import FlightModes
 from panoexec.sim.mavlink.parameters import Parameters
 from panoexec.sim.mavlink.telemetry import Telemetry
 from panoexec.sim.mavlink.trigger import CameraTrigger
@@ -49,7 +49,7 @@ class Vehicle:
     """Autopilot, gimbal manager and router.
 
     Attributes:
-        airframe: what flies.
+        airframe: the vehicle's physics.
         manager: the gimbal manager.
         modes: flight modes.
     """
@@ -75,10 +75,10 @@ class Vehicle:
         self._boot_s = 0.0
         self._silent_until_s = -math.inf
         self.airframe = airframe
-        self.modes = ModeBook(config.autopilot)
+        self.modes = FlightModes(config.autopilot)
         self._links = {"ground": ground, "payload": payload}
-        self._ground_gate = _Gate(ground, self)
-        self._ground_heard = False  # nothing is forwarded to where nobody was heard
+        self._ground_gate = _GatedLink(ground, self)
+        self._ground_heard = False  # nothing is forwarded to the ground until a ground station was heard
         self._telemetry = Telemetry(
             config,
             clock=clock,
@@ -110,7 +110,7 @@ class Vehicle:
         self._target_repeater = Repeater(timeline, self.manager.send_target)
 
     def _component(self, link: Link) -> Component:
-        gate = _Gate(link, self)
+        gate = _GatedLink(link, self)
         return Component(timeline=self._timeline, sender=self._sender, link=gate, heartbeat=self._telemetry.heartbeat)
 
     def _gimbal_builders(self) -> dict[int, Callable[[], Message | None]]:
@@ -126,16 +126,16 @@ class Vehicle:
         }
 
     def boot_ms(self) -> int:
-        """Milliseconds since the autopilot's last start."""
+        """Milliseconds since the autopilot's last boot."""
         return max(0, round((self._timeline.now_s - self._boot_s) * 1000))
 
     @property
     def is_silent(self) -> bool:
-        """Whether it is restarting."""
+        """Whether it is rebooting."""
         return self._timeline.now_s < self._silent_until_s
 
     def start(self) -> None:
-        """Start heartbeats and what is sent unasked."""
+        """Start heartbeats and default streams."""
         self._ground.start(phase_s=0.0)
         self._payload.start(phase_s=0.1)
         self._start_streams()
@@ -151,7 +151,7 @@ class Vehicle:
                 self._ground.streams.set_interval(message_id, 1e6 / rate_hz)
 
     def reboot(self, silence_s: float) -> None:
-        """Restart: silent, then as new; it stays in the air, which no real one would."""
+        """Reboot: silence, then the initial state; it stays in the air, unlike a real vehicle."""
         self._silent_until_s = self._timeline.now_s + silence_s
         for component in (self._ground, self._payload):
             component.streams.clear()
@@ -166,7 +166,7 @@ class Vehicle:
         self._timeline.at(self._silent_until_s, up)
 
     def receive_ground(self, message: Message, frame: bytes) -> None:
-        """Take one message from the ground."""
+        """Handle a message from the ground."""
         if self.is_silent or self._faults.active("link-loss", self._timeline.now_s):
             return
         if message.get_srcSystem() == self._config.system_id and message.get_srcComponent() == COMPONENT_ID:
@@ -180,7 +180,7 @@ class Vehicle:
                 self._handle(self._ground, message)
 
     def receive_payload(self, message: Message, frame: bytes) -> None:
-        """Take one message from the payload's link."""
+        """Handle a message from the payload's link."""
         if self.is_silent:
             return
         target = getattr(message, "target_component", 0)
@@ -190,7 +190,7 @@ class Vehicle:
             self._handle(self._payload, message)
 
     def link_is_lost(self) -> bool:
-        """Whether nothing passes to the ground (fault)."""
+        """Whether the ground link is lost (fault)."""
         return self._faults.active("link-loss", self._timeline.now_s)
 
     def is_ground(self, link: Link) -> bool:
@@ -220,7 +220,7 @@ class Vehicle:
                 source.send(answer)
 
     def _command(self, source: Component, command: Command) -> int | None:
-        """Do what a command says; MAV_RESULT, None for no answer."""
+        """Execute a command; return the MAV_RESULT, or None for no acknowledgement."""
         unknown = mavlink.MAV_RESULT_FAILED if self._config.autopilot == "ardupilot" else mavlink.MAV_RESULT_UNSUPPORTED
         common = source.common_command(command, unknown_message=unknown)
         if common is not None:
@@ -252,7 +252,7 @@ class Vehicle:
         return _ACCEPTED if self.airframe.arm(command.params[0] > 0.5) else _DENIED
 
     def _take_off(self, command: Command) -> int:
-        # ArduPilot: metres above home; PX4: above sea level
+        # ArduPilot: metres above home; PX4: metres above sea level
         height = command.params[6]
         if self._config.autopilot == "px4":
             height -= self._config.airframe.home_altitude_m
@@ -274,7 +274,7 @@ class Vehicle:
         return _ACCEPTED
 
     def _condition_yaw(self, command: Command) -> int:
-        """ArduCopter: accepted in every mode, obeyed in those that fly by themselves."""
+        """ArduCopter: accepted in every mode, executed only in autonomous modes."""
         heading_deg, rate_deg_s, direction, relative = command.params[:4]
         if not 0 <= heading_deg <= 360 or relative not in {0.0, 1.0}:
             return int(mavlink.MAV_RESULT_FAILED)
@@ -288,7 +288,7 @@ class Vehicle:
         return _ACCEPTED
 
     def _reposition(self, command: Command) -> int:
-        """PX4: only with the wish for its hold mode, which it then flies; of the place it takes the heading alone."""
+        """PX4: only with the flag that changes to hold mode; of the position only the heading is used."""
         if int(command.params[1]) != 1:
             return int(mavlink.MAV_RESULT_UNSUPPORTED)
         self.modes.set("LOITER")
@@ -315,8 +315,8 @@ class Vehicle:
         self._ground.send(mavlink.MAVLink_statustext_message(severity, text.encode()[:50]))
 
 
-class _Gate:
-    """A link of the vehicle through which nothing goes while it restarts or while the radio is out."""
+class _GatedLink:
+    """A link of the vehicle that drops all messages during a reboot or a link loss."""
 
     def __init__(self, link: Link, vehicle: Vehicle) -> None:
         self.name = link.name

@@ -1,7 +1,7 @@
-"""Bytes in and out: MAVLink framing on UDP and TCP sockets and between parts of one process.
+"""MAVLink framing on UDP and TCP sockets and between components of one process.
 
-Sockets are read and written straight from the event loop, and frames of one moment share a datagram, as autopilots do:
-at a speed-up of 20 a mission's streams are some 4000 messages a second.
+Sockets are read and written directly from the event loop, and frames of one moment share a datagram, as autopilots do:
+at a speed-up of 20 a mission's streams are some 4000 messages per second.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from panoexec.errors import LinkError, UsageError
 from panoexec.sim.mavlink.dialect import mavlink
 
 Message: TypeAlias = Any
-"""A pymavlink message; it has no types of its own."""
+"""A pymavlink message; pymavlink has no type annotations."""
 
 _BUFFER_BYTES = 1 << 20
 _DATAGRAM_BYTES = 65535
@@ -27,25 +27,25 @@ _PACKET_BYTES = 1400
 
 
 class Receiver(Protocol):
-    """Takes what a link brings."""
+    """Handles the messages of a link."""
 
     def __call__(self, message: Message, frame: bytes, /) -> None:
-        """Take one message and the bytes that it came in."""
+        """Handle a message and the bytes of its frame."""
         ...
 
 
 class Link(Protocol):
-    """One way to other MAVLink components."""
+    """A connection to other MAVLink components."""
 
     name: str
 
     def send(self, frame: bytes, message: Message) -> None:
-        """Send one packed message; never blocks, may lose it."""
+        """Send one packed message; never blocks, may drop it."""
         ...
 
 
 class Sender:
-    """One component's identity: packs messages with its ids and its own sequence number."""
+    """The identity of a component: packs messages with its ids and its own sequence number."""
 
     def __init__(self, system_id: int, component_id: int) -> None:
         self.system_id = system_id
@@ -53,14 +53,14 @@ class Sender:
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
 
     def pack(self, message: Message) -> bytes:
-        """The frame of a message, sequence number counted on."""
+        """The frame of a message; increments the sequence number."""
         frame: bytes = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
         return frame
 
 
 class LocalLink:
-    """Two ends inside one process; a message sent on one is received on the other, unparsed, at once."""
+    """One of two connected ends in one process; a message sent on one is received on the other, unparsed, at once."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -88,7 +88,7 @@ def _parser() -> Any:
 
 
 class _SocketLink(ABC):
-    """What UDP and TCP have in common.
+    """Common part of UDP and TCP links.
 
     Attributes:
         lost: frames that could not be sent.
@@ -111,21 +111,21 @@ class _SocketLink(ABC):
         return int(self._socket.getsockname()[1])
 
     def send(self, frame: bytes, message: Message) -> None:
-        """See `Link.send`; frames wait for `flush`, so that those of one moment share a datagram."""
+        """See `Link.send`; frames are buffered until `flush`, so that those of one moment share a datagram."""
         del message
         if len(self._outgoing) + len(frame) > _PACKET_BYTES:
             self.flush()
         self._outgoing += frame
 
     def flush(self) -> None:
-        """Put on the wire what was sent."""
+        """Write the buffered frames to the socket."""
         if self._outgoing:
             data, self._outgoing = self._outgoing, bytearray()
             self._write(data)
 
     @abstractmethod
     def _write(self, data: bytearray) -> None:
-        """Put bytes on the wire."""
+        """Write bytes to the socket."""
 
     def close(self) -> None:
         """Close the socket."""
@@ -135,7 +135,7 @@ class _SocketLink(ABC):
 
     @abstractmethod
     def _readable(self) -> None:
-        """Take what the socket has."""
+        """Read the available bytes of the socket."""
 
     def _feed(self, data: bytes) -> None:
         for message in self._parser.parse_buffer(data) or ():
@@ -144,7 +144,7 @@ class _SocketLink(ABC):
 
 
 class UdpLink(_SocketLink):
-    """A UDP socket. Learns where its peer is from what arrives, unless it was told."""
+    """A UDP socket. Its peer is given, or learned from the datagrams that arrive."""
 
     def __init__(self, name: str, sock: socket.socket, remotes: Sequence[tuple[str, int]]) -> None:
         super().__init__(name, sock)
@@ -162,10 +162,10 @@ class UdpLink(_SocketLink):
 
     @staticmethod
     def waiting_on(name: str, host: str, port: int) -> UdpLink:
-        """Wait on `host:port` for a peer.
+        """Listen on `host:port` for a peer.
 
         Raises:
-            LinkError: the port is in use or not ours to take.
+            LinkError: the port is in use or requires privileges.
         """
         sock = _udp_socket()
         try:
@@ -180,7 +180,7 @@ class UdpLink(_SocketLink):
             try:
                 self._socket.sendto(data, remote)
             except OSError:
-                # nobody listens yet, or the buffer is full: UDP loses datagrams, and so may this
+                # nobody listens yet, or the buffer is full: datagrams may be lost
                 self.lost += 1
 
     def _readable(self) -> None:
@@ -213,7 +213,7 @@ class TcpLink(_SocketLink):
         """Connect, trying again for `patience_s` seconds.
 
         Raises:
-            LinkError: nobody answered in that time.
+            LinkError: no connection within that time.
         """
         loop = asyncio.get_running_loop()
         address = _resolve(host, port)
@@ -227,7 +227,7 @@ class TcpLink(_SocketLink):
             except (OSError, TimeoutError) as error:
                 sock.close()
                 if loop.time() >= deadline:
-                    raise LinkError(f"tcp:{host}:{port}: nobody answers there ({error or 'timed out'})") from error
+                    raise LinkError(f"tcp:{host}:{port}: connection failed ({error or 'timed out'})") from error
                 await asyncio.sleep(0.2)
             except BaseException:
                 sock.close()
@@ -237,7 +237,7 @@ class TcpLink(_SocketLink):
                 return TcpLink(name, sock)
 
     def _write(self, data: bytearray) -> None:
-        # what does not fit into the socket's buffer is cut off, as on a serial line
+        # bytes that do not fit into the socket's buffer are dropped, as on a serial line
         with contextlib.suppress(OSError):
             self._socket.send(data)
 
@@ -281,8 +281,8 @@ async def attach(url: str, *, patience_s: float = 30.0) -> UdpLink | TcpLink:
     """Open the link that `--attach` names: `tcp:HOST:PORT`, `udpout:HOST:PORT` or `udpin:HOST:PORT` (`://` accepted).
 
     Raises:
-        UsageError: not such a URL.
-        LinkError: it cannot be opened.
+        UsageError: invalid URL.
+        LinkError: the link cannot be opened.
     """
     parts = urlsplit(url if "://" in url else url.replace(":", "://", 1))
     try:
@@ -292,7 +292,7 @@ async def attach(url: str, *, patience_s: float = 30.0) -> UdpLink | TcpLink:
     scheme = {"tcpout": "tcp", "udp": "udpin"}.get(parts.scheme, parts.scheme)
     if host is None or port is None or scheme not in ("tcp", "udpout", "udpin"):
         raise UsageError(
-            f"--attach {url}: accepted are tcp:HOST:PORT, udpout:HOST:PORT and udpin:HOST:PORT, like tcp:127.0.0.1:5762"
+            f"--attach {url}: expected tcp:HOST:PORT, udpout:HOST:PORT or udpin:HOST:PORT, like tcp:127.0.0.1:5762"
         )
     if scheme == "tcp":
         return await TcpLink.connect("autopilot", host, port, patience_s=patience_s)

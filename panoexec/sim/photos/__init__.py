@@ -1,1 +1,1 @@
-"""What the simulated camera sees: scenes, rendering, JPEG files."""
+"""Images of the simulated camera: scenes, rendering, JPEG files."""

@@ -1,7 +1,8 @@
-"""Develops the simulated camera's photos in a process of its own, so that rendering never delays a message.
+"""Renders the simulated camera's photos in a separate process, so that rendering never delays a message.
 
-`Darkroom` is the client, inside the simulator's event loop; `python -m panoexec.sim.photos.darkroom` is the worker: one
-JSON object a line in (a job), one out (its result); it ends when its standard input ends, however its parent died.
+`Darkroom` is the client in the simulator's event loop; `python -m panoexec.sim.photos.darkroom` is the worker: it reads
+one JSON object per line (a job) and writes one per line (its result); it exits at the end of its standard input, so it
+never outlives its parent.
 """
 
 from __future__ import annotations
@@ -25,17 +26,17 @@ _LINE_LIMIT = 1 << 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Negative:
-    """An exposed photo, ready to be developed.
+class ExposedPhoto:
+    """An exposed photo, ready to be rendered.
 
     Attributes:
-        path: where the JPEG goes.
+        path: the JPEG file to write.
         truth_deg: true (yaw, roll, pitch) of the camera, evenly spaced over the exposure.
-        q_wxyz: attitude as the camera was told, to north; goes into the JPEG's metadata.
+        q_wxyz: attitude as reported to the camera, relative to north; for the JPEG's metadata.
         time_utc_s: start of the exposure.
         exposure_s: shutter time.
         position: (latitude, longitude, altitude, altitude above home) in degrees and metres, None without a fix.
-        flight_yaw_deg: the vehicle's heading, None if not known.
+        flight_yaw_deg: the vehicle's heading, None if unknown.
     """
 
     path: str
@@ -48,12 +49,12 @@ class Negative:
 
 
 class Darkroom:
-    """Sends negatives to the worker and keeps count.
+    """Sends photos to the worker and counts the results.
 
     Attributes:
         written: photos on disk.
         pending: photos not yet on disk.
-        failures: what went wrong, one line each.
+        failures: error messages, one line each.
     """
 
     def __init__(self, camera: Camera, width_px: int, *, scene: Path | None, seed: int) -> None:
@@ -71,10 +72,10 @@ class Darkroom:
         self.failures: list[str] = []
 
     async def start(self) -> None:
-        """Start the worker; wait for it only if the scene is a file, which may be none.
+        """Start the worker; wait for it only if the scene is a file, which may be invalid.
 
         Raises:
-            UsageError: the scene is no equirectangular image; the message names it.
+            UsageError: the scene is not an equirectangular image; the message names it.
         """
         self._process = await asyncio.create_subprocess_exec(
             sys.executable,
@@ -91,11 +92,11 @@ class Darkroom:
                 await self.close()
                 raise UsageError(error)
 
-    def develop(self, negative: Negative) -> None:
+    def develop(self, photo: ExposedPhoto) -> None:
         """Queue one photo; returns at once."""
         self.pending += 1
         self._idle.clear()
-        self._send(dataclasses.asdict(negative))
+        self._send(dataclasses.asdict(photo))
 
     def _stdout(self) -> asyncio.StreamReader:
         assert self._process is not None
@@ -111,7 +112,7 @@ class Darkroom:
         """Read the worker's results until cancelled.
 
         Raises:
-            DeviceError: the worker ended by itself.
+            DeviceError: the worker exited unexpectedly.
         """
         while line := await self._stdout().readline():
             result = json.loads(line)
@@ -126,7 +127,7 @@ class Darkroom:
             self.pending -= 1
             if self.pending <= 0:
                 self._idle.set()
-        raise DeviceError(f"the simulated camera's renderer has ended; {self.pending} photos were not written")
+        raise DeviceError(f"the simulated camera's renderer exited; {self.pending} photos were not written")
 
     async def drain(self, timeout_s: float) -> bool:
         """Wait until every photo is on disk (`run` must be running); False if that took longer than `timeout_s`."""
@@ -153,9 +154,9 @@ class Darkroom:
 
 
 def _work() -> None:
-    """The worker: develop jobs from standard input until it ends."""
+    """The worker: render jobs from standard input until its end."""
     os.nice(_NICENESS)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides when this ends
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides when to exit
     first = sys.stdin.readline()
     if not first:
         return

@@ -1,4 +1,4 @@
-"""The simulated camera's files: JPEGs with the EXIF and XMP that a real drone camera writes."""
+"""The simulated camera's files: JPEGs with EXIF and XMP like those of real drone cameras."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ except ImportError as _error:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotoMetadata:
-    """What a camera knows of a photo when it writes the file.
+    """Metadata of a photo.
 
     Attributes:
         time_utc_s: start of the exposure, seconds since 1970 UTC.
@@ -72,7 +72,7 @@ def jpeg_bytes(image: Image, metadata: PhotoMetadata, *, quality: int = 90) -> b
 
 
 def write_jpeg(path: Path, image: Image, metadata: PhotoMetadata, *, quality: int = 90) -> int:
-    """Write a photo; the file is there whole or not at all.
+    """Write a photo atomically.
 
     Args:
         path: the file; its folder must exist.
@@ -87,7 +87,7 @@ def write_jpeg(path: Path, image: Image, metadata: PhotoMetadata, *, quality: in
         UsageError: it cannot be written.
     """
     content = jpeg_bytes(image, metadata, quality=quality)
-    # a simulated photo is not worth waiting for the disk
+    # no fsync: a simulated photo need not survive a power loss
     write_atomically(path, content, sync=False)
     return len(content)
 

@@ -1,11 +1,11 @@
-"""What an ideal pinhole camera sees of a scene: back-projection of every pixel, with motion blur.
+"""Renders images of an ideal pinhole camera: back-projection of every pixel, with motion blur.
 
 Pixel (column, row) of an image of w x h pixels looks, in the camera's frame (x boresight, y right, z bottom), along
 
     (1, s · (column + 0.5 - w/2), s · (row + 0.5 - h/2)),      s = 2 · half_width / w:
 
-the image's width is exactly the camera's horizontal field of view, and its pixels are exactly square, as stitchers take
-for granted. Its height is the whole number of rows nearest to the vertical field of view.
+the image's width is exactly the camera's horizontal field of view, and its pixels are exactly square, as stitchers
+assume. Its height is the whole number of rows nearest to the vertical field of view.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from panoexec.sim.photos.landscape import Floats, Image
 from panoexec.sim.photos.scene import Scene
 
 _BLOCK_PIXELS: Final = 1 << 15
-"""Pixels worked on at a time, so that intermediate arrays stay in the processor's cache."""
+"""Pixels processed at a time, so that intermediate arrays fit the processor's cache."""
 
 _STILL_PX: Final = 0.2
-"""A camera that moves by less than this during an exposure is taken as standing still."""
+"""A camera that moves less than this during an exposure counts as stationary."""
 
 _LOW_BYTES: Final = np.uint32(0x00FF00FF)
 
@@ -36,10 +36,10 @@ def image_size(camera: Camera, width_px: int) -> tuple[int, int]:
 
 
 class Renderer:
-    """Renders images of one scene; keeps halved copies of it for coarse images.
+    """Renders images of one scene; caches downsampled copies of it for coarse images.
 
     Args:
-        scene: what there is to see, at an infinite distance.
+        scene: the scene, at infinite distance.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -79,7 +79,7 @@ class Renderer:
 
 
 def _level(scene: Scene, camera: Camera, width_px: int) -> int:
-    """How often to halve the scene so that its pixels are about as fine as the image's at its centre.
+    """Number of halvings after which the scene's pixels are about as fine as the image's at its centre.
 
     A side of an odd number of pixels is not halved: that would shift pixel centres.
     """
@@ -91,19 +91,19 @@ def _level(scene: Scene, camera: Camera, width_px: int) -> int:
 
 
 def _halved(pixels: Image) -> Image:
-    """Half the resolution, each new pixel the mean of four; keeps the convention of pixel centres."""
+    """Halve the resolution by averaging 2 x 2 pixels; keeps the convention of pixel centres."""
     wide = pixels.astype(np.uint16)
     total = wide[0::2, 0::2] + wide[0::2, 1::2] + wide[1::2, 0::2] + wide[1::2, 1::2]
     return np.asarray((total + 2) >> 2, dtype=np.uint8)
 
 
 def _pack(pixels: Image) -> NDArray[np.uint32]:
-    """Pixels as 0x00BBGGRR with a border that continues the sphere: around the back, and over the poles."""
+    """Pixels as 0x00BBGGRR with a border that continues the sphere at the back and over the poles."""
     height, width = pixels.shape[:2]
     channels = pixels.astype(np.uint32)
     packed = np.empty((height + 2, width + 2), dtype=np.uint32)
     packed[1:-1, 1:-1] = channels[..., 0] | channels[..., 1] << 8 | channels[..., 2] << 16
-    # beyond a pole lies the same row, half a turn away
+    # the row beyond a pole is the same row shifted by half a turn
     packed[0, 1:-1] = np.roll(packed[1, 1:-1], width // 2)
     packed[-1, 1:-1] = np.roll(packed[-2, 1:-1], width // 2)
     packed[:, 0] = packed[:, -2]
@@ -112,7 +112,7 @@ def _pack(pixels: Image) -> NDArray[np.uint32]:
 
 
 def _distinct(poses: FloatArray, camera: Camera, width_px: int) -> FloatArray:
-    """Leave out poses that change no pixel visibly; at least the middle one stays."""
+    """Drop poses that do not visibly change any pixel; keeps at least the middle one."""
     if len(poses) == 1:
         return poses
     w, h = camera.half_width, camera.half_height
@@ -144,7 +144,7 @@ def _render_still(texture: NDArray[np.uint32], camera: Camera, pose: FloatArray,
 def _bilinear(texture: NDArray[np.uint32], x: Floats, y: Floats, z: Floats) -> NDArray[np.uint32]:
     """Packed colours of the scene in the world directions (x, y, z) of any length."""
     height, width = texture.shape[0] - 2, texture.shape[1] - 2
-    # Pixel centres are at whole numbers, the border's first column at 0. Azimuth ±π is column 0.5 or width + 0.5,
+    # Pixel centres are at integers, the border's first column at 0. Azimuth ±π is column 0.5 or width + 0.5,
     # the poles are rows 0.5 and height + 0.5: all four neighbours always exist.
     column = np.arctan2(y, x)
     column *= np.float32(width / (2 * np.pi))
@@ -155,7 +155,7 @@ def _bilinear(texture: NDArray[np.uint32], x: Floats, y: Floats, z: Floats) -> N
     left, top = column.astype(np.int32), row.astype(np.int32)
     column -= left
     row -= top
-    # a fraction of 256/256 is possible and right: it is the neighbour itself
+    # a fraction of 256/256 is valid: it selects the neighbour itself
     right_part = (column * np.float32(256) + np.float32(0.5)).astype(np.uint32)
     lower_part = (row * np.float32(256) + np.float32(0.5)).astype(np.uint32)
     index = top * np.int32(width + 2) + left

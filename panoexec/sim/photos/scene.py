@@ -1,4 +1,4 @@
-"""What the simulated camera looks at: an equirectangular picture of the whole sphere, made by code or loaded.
+"""The scene of the simulated camera: an equirectangular image of the whole sphere, generated or loaded.
 
 Convention of every equirectangular picture in panoexec, as Hugin's and GPano's: the centre is azimuth 0 (the yaw
 reference), azimuth grows to the right, the left border is -180, the top border elevation +90. Pixel (column, row)
@@ -27,7 +27,7 @@ MAX_WIDTH_PX: Final = 16384
 MIN_WIDTH_PX: Final = 64
 
 _BLOCK_PIXELS: Final = 1 << 17
-"""Pixels painted at a time: a few float32 arrays of it stay in the processor's cache."""
+"""Pixels painted at a time, so that the float32 arrays fit the processor's cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class Scene:
 
     Attributes:
         pixels: (height, 2 · height, 3) uint8, RGB, in the module's convention.
-        name: where it came from, for logs.
+        name: its source, for logs.
     """
 
     pixels: Image
@@ -69,7 +69,7 @@ def load_scene(path: Path) -> Scene:
         raise DependencyError(f"pictures need Pillow: {to_install('sim')}") from error
     try:
         with warnings.catch_warnings():
-            # a gigapixel-sized scene is what the user asked for; the bounds are checked below, before pixels are read
+            # a scene of gigapixel size is permitted; its size is checked below, before pixels are read
             warnings.simplefilter("ignore", PIL.Image.DecompressionBombWarning)
             with PIL.Image.open(path) as picture:
                 _check_size(path, *picture.size)
@@ -81,7 +81,7 @@ def load_scene(path: Path) -> Scene:
     except PIL.UnidentifiedImageError as error:
         raise InputFileError(str(path), ["is no image; name an equirectangular JPEG or PNG"]) from error
     except (OSError, SyntaxError, ValueError) as error:
-        # what Pillow raises for truncated and broken files, and what the system raises for folders and permissions
+        # exceptions of Pillow for truncated and broken files, and of the system for folders and permissions
         reason = getattr(error, "strerror", None) or str(error)
         raise InputFileError(str(path), [f"cannot be read as an image ({reason})"]) from error
     return Scene(pixels, str(path))

@@ -1,4 +1,4 @@
-"""The vehicle under the gimbal: hovering in wind, GPS wander, battery, arming, take-off and landing. Pure, stepped."""
+"""The vehicle under the gimbal: hover in wind, GPS drift, battery, arming, take-off and landing. Pure, stepped."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ class LandedState(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AirframeState:
-    """Where the vehicle truly is and how it truly stands.
+    """True position and attitude of the vehicle.
 
     Attributes:
         roll_deg, pitch_deg, yaw_deg: attitude (3-2-1, yaw from true north, unwrapped).
         roll_rate_deg_s, pitch_rate_deg_s, yaw_rate_deg_s: their rates.
-        north_m, east_m, up_m: from home, truly: the autopilot holds the place that the GPS tells, and so wanders with
-            its error, which no report shows.
+        north_m, east_m, up_m: true position relative to home: the autopilot holds the GPS position, so the true one
+            drifts with the GPS error, which no report shows.
     """
 
     roll_deg: float
@@ -57,7 +57,7 @@ class AirframeState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Position:
-    """What the GPS says: degrees, metres above mean sea level and above home, velocity north, east, down in m/s."""
+    """GPS position: degrees, metres above mean sea level and above home, velocity north, east, down in m/s."""
 
     latitude_deg: float
     longitude_deg: float
@@ -67,12 +67,12 @@ class Position:
 
 
 class Airframe:
-    """A multirotor that holds its place as well as wind and GPS let it.
+    """A multirotor that holds its position, with the errors that wind and GPS cause.
 
     Attributes:
         armed: motors turn.
-        wind_m_s: what blows at the moment.
-        battery_frac: charge, 0 to 1.
+        wind_m_s: current wind speed.
+        battery_frac: state of charge, 0 to 1.
     """
 
     def __init__(self, config: AirframeConfig, *, seed: int) -> None:
@@ -91,7 +91,7 @@ class Airframe:
         self._turn_deg_s = math.inf
 
         def wander(name: str, period_s: float) -> BoundedDrift:
-            # a bound of 1/0.35 makes a standard deviation of 1
+            # a bound of 1/0.35 gives a standard deviation of 1
             return BoundedDrift(1 / 0.3536, period_s, seeded(seed, f"airframe/{name}"))
 
         self._sway_roll, self._sway_pitch = wander("roll", 1.3), wander("pitch", 1.1)
@@ -117,12 +117,12 @@ class Airframe:
 
     @property
     def is_flying(self) -> bool:
-        """Whether it is off the ground."""
+        """Whether it is in the air."""
         return self._height_m > 0.1
 
     @property
     def landed_state(self) -> LandedState:
-        """As EXTENDED_SYS_STATE tells it."""
+        """Value of EXTENDED_SYS_STATE.landed_state."""
         if not self.is_flying:
             return LandedState.ON_GROUND
         if self._climb_m_s > 0.5 and self._height_goal_m - self._height_m > 0.5:
@@ -131,34 +131,34 @@ class Airframe:
 
     @property
     def voltage_v(self) -> float:
-        """Of the battery, under load."""
+        """Battery voltage under load."""
         return _CELLS * (_CELL_EMPTY_V + (_CELL_FULL_V - _CELL_EMPTY_V) * self.battery_frac)
 
     def arm(self, armed: bool) -> bool:
-        """Start or stop the motors; refused (False) when stopping in the air."""
+        """Arm or disarm; returns False (denied) for disarming in the air."""
         if not armed and self.is_flying:
             return False
         self.armed = armed
         return True
 
     def take_off(self, height_m: float) -> bool:
-        """Climb to a height above home; refused (False) unless armed."""
+        """Climb to a height above home; returns False (denied) unless armed."""
         if not self.armed:
             return False
         self._height_goal_m = height_m
         return True
 
     def land(self) -> None:
-        """Come down where it is; disarms on the ground."""
+        """Land at the current position; disarms on the ground."""
         self._height_goal_m = 0.0
 
     def turn_to(self, heading_deg: float, *, rate_deg_s: float = 0.0, direction: int = 0) -> None:
-        """Turn the nose on the spot, and keep it there.
+        """Yaw on the spot to a heading and hold it.
 
         Args:
-            heading_deg: clockwise from north as the autopilot knows it, of any turn.
-            rate_deg_s: at most; 0 or less leaves it to the autopilot.
-            direction: 1 clockwise, -1 counter-clockwise, 0 the short way.
+            heading_deg: clockwise from north as estimated by the autopilot, any number of turns.
+            rate_deg_s: maximum rate; 0 or less selects the autopilot's.
+            direction: 1 clockwise, -1 counter-clockwise, 0 the shorter way.
         """
         if not self.is_flying:
             return
@@ -188,10 +188,10 @@ class Airframe:
         axis, goal = self._heading, self._heading_goal_deg
         axis.step(goal, 0.0, dt, 1.0, self._turn_deg_s)
         if abs(axis.angle_deg - goal) < _AT_REST_DEG and abs(axis.rate_deg_s) < _AT_REST_DEG:
-            axis.place(goal)  # nothing to compute for the rest of the hover
+            axis.place(goal)  # skip the loop for the rest of the hover
 
     def true_yaw_deg(self) -> float:
-        """Heading at the moment (the part of `state` that the physics needs at every step)."""
+        """Current heading (the part of `state` that the physics needs at every step)."""
         heading = self._heading.angle_deg
         if not self.is_flying:
             return heading
@@ -201,7 +201,7 @@ class Airframe:
         return heading + offset + c.heading_sway_deg * self._sway_yaw.at(self._time_s)
 
     def state(self) -> AirframeState:
-        """The truth of the moment."""
+        """The current true state."""
         if self._state is None:
             self._state = self._make_state()
         return self._state
@@ -228,7 +228,7 @@ class Airframe:
         )
 
     def position(self) -> Position:
-        """What the GPS says of the moment."""
+        """The current GPS position."""
         t, c = self._time_s, self.config
         hold = c.hold_m * (1 + self.wind_m_s / 5) if self.is_flying else 0.0
         north, east, up = (hold * drift.at(t) for drift in self._hold)

@@ -1,4 +1,4 @@
-"""The camera's behaviour: when it opens the shutter, when it refuses, what it counts, when its card is full. Pure."""
+"""Model of the camera: shutter timing, rejected commands, image count, storage. Pure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from panoexec.sim.physics.world import Timeline
 
 
 class Refusal(Enum):
-    """Why a photo is not taken."""
+    """Reason for rejecting a photo command."""
 
     BUSY = auto()
     STORAGE_FULL = auto()
@@ -21,14 +21,14 @@ class Refusal(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exposure:
-    """A photo as it was taken.
+    """A photo.
 
     Attributes:
-        index: the camera's running number.
-        start_s, end_s: when the shutter was open, simulated time.
+        index: the camera's image index.
+        start_s, end_s: opening and closing of the shutter, simulated time.
         truth: true camera attitudes from the opening to the closing of the shutter, evenly spaced.
-        estimate: what the gimbal believed at the opening.
-        measured: what the camera was told of its attitude.
+        estimate: the gimbal controller's estimate at the opening.
+        measured: the attitude that was reported to the camera.
     """
 
     index: int
@@ -40,8 +40,8 @@ class Exposure:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Look:
-    """The gimbal at one moment: true, as its controller believes, as it reports."""
+class GimbalState:
+    """The gimbal at one moment: true attitude, the controller's estimate, the reported measurement."""
 
     truth: Angles
     estimate: Angles
@@ -52,8 +52,8 @@ class CameraModel:
     """A camera on a timeline.
 
     Attributes:
-        storage_full: the card has no room, whatever was written (fault).
-        images: how many photos were taken.
+        storage_full: the card is full, independent of the photos (fault).
+        images: number of photos taken.
     """
 
     def __init__(
@@ -61,21 +61,21 @@ class CameraModel:
         config: CameraConfig,
         timeline: Timeline,
         *,
-        look: Callable[[], Look],
+        look: Callable[[], GimbalState],
         on_exposed: Callable[[Exposure], None],
-        grain_s: float = 0.0,
+        time_resolution_s: float = 0.0,
     ) -> None:
-        """A camera that is ready.
+        """Create a camera that is ready.
 
         Args:
-            config: its figures.
-            timeline: when it lives.
-            look: where it looks now.
-            on_exposed: gets each photo.
-            grain_s: a command that comes too early by this much is taken for one in time.
+            config: its parameters.
+            timeline: the simulation's timeline.
+            look: returns the gimbal's state at the current time.
+            on_exposed: receives each photo.
+            time_resolution_s: a command that is early by at most this time is accepted.
         """
         self.config = config
-        self._grain_s = grain_s
+        self._time_resolution_s = time_resolution_s
         self._timeline = timeline
         self._look = look
         self._on_exposed = on_exposed
@@ -86,24 +86,24 @@ class CameraModel:
 
     @property
     def is_busy(self) -> bool:
-        """Whether a photo is under way."""
+        """Whether a photo is being taken."""
         return self._busy
 
     @property
     def available_mib(self) -> float:
-        """Room on the card."""
+        """Free space on the card, MiB."""
         if self.storage_full:
             return 0.0
         return max(0.0, self.config.storage_mib - self.images * self.config.image_mib)
 
     @property
     def wait_s(self) -> float:
-        """How long until it takes the next photo."""
+        """Time until the next photo can be taken, seconds."""
         return max(0.0, self._ready_s - self._timeline.now_s)
 
     def shoot(self) -> Refusal | None:
-        """Take a photo; None if it will, else why not."""
-        if self._busy or self.wait_s > self._grain_s + 1e-9:
+        """Start a photo; None if accepted, else the reason."""
+        if self._busy or self.wait_s > self._time_resolution_s + 1e-9:
             return Refusal.BUSY
         if self.available_mib < self.config.image_mib:
             return Refusal.STORAGE_FULL
@@ -120,7 +120,7 @@ class CameraModel:
             self._timeline.at(start + self.config.exposure_s * step / steps, lambda: samples.append(self._look().truth))
         self._timeline.at(start + self.config.exposure_s, lambda: self._close(start, first, samples))
 
-    def _close(self, start_s: float, first: Look, samples: list[Angles]) -> None:
+    def _close(self, start_s: float, first: GimbalState, samples: list[Angles]) -> None:
         self._busy = False
         index = self.config.index_start + self.images
         self.images += 1

@@ -1,26 +1,26 @@
-"""The time of an autopilot, for a payload that is joined to it and must not live faster or slower than that."""
+"""The time of a real autopilot, which an attached payload must follow."""
 
 from __future__ import annotations
 
 from typing import Final
 
 AHEAD_S: Final = 0.03
-"""How far beyond the autopilot's last word the payload goes by itself: one and a half intervals of that message."""
+"""How far the payload advances beyond the autopilot's last message: one and a half of its intervals."""
 SILENT_S: Final = 1.0
-"""Real seconds without a word after which the payload goes by its own clock again."""
+"""Seconds of real time without a message after which the payload uses its own clock again."""
 
-GRAIN_S: Final = 0.05
-"""How well moments can be told apart: payload and mission each have a stamp every 20 ms and go on by themselves between
-them, so that two seconds of the one may be 1.96 s of the other."""
+TIME_RESOLUTION_S: Final = 0.05
+"""Time resolution: payload and mission each get a stamp every 20 ms and extrapolate in between, so that two seconds of
+one may be 1.96 s of the other."""
 
 _WRAP_US: Final = 1 << 32
 _MOST_S: Final = 60.0
 
 
 class AutopilotTime:
-    """Turns the time stamps of AUTOPILOT_STATE_FOR_GIMBAL_DEVICE (286) into simulated time.
+    """Converts the time stamps of AUTOPILOT_STATE_FOR_GIMBAL_DEVICE (286) into simulated time.
 
-    ArduPilot counts microseconds since boot in 32 bits, which overflow after 71.6 minutes; and it may restart.
+    ArduPilot counts microseconds since boot in 32 bits, which overflow after 71.6 minutes; and it may reboot.
     """
 
     def __init__(self) -> None:
@@ -32,7 +32,7 @@ class AutopilotTime:
 
         Args:
             boot_us: the stamp.
-            now_s: simulated time when it arrived: what it means the first time, after a restart or a long silence.
+            now_s: simulated time of arrival: the result for the first stamp, after a reboot or after a long silence.
         """
         passed_s = _MOST_S if self._last_us is None else (boot_us - self._last_us) % _WRAP_US * 1e-6
         self._last_us = boot_us
@@ -40,5 +40,5 @@ class AutopilotTime:
         return self._now_s
 
     def forget(self) -> None:
-        """It was silent: its next word says nothing of the time between."""
+        """Reset after a silence: the next stamp sets a new offset."""
         self._last_us = None

@@ -1,14 +1,14 @@
 """The gimbal's mechanics: three axes with limits, a control loop that overshoots and settles, noise, drift, gusts.
 
 Pure: no I/O, no clock; `step` advances it. Angles are the 3-1-2 axes of `panoexec.angles` in the world frame (a gimbal
-with an inertial sensor controls those, whatever the vehicle does under it).
+with an inertial sensor controls those, independent of the vehicle's attitude).
 
-What is true and what is measured:
+Estimate and truth:
 
-* `estimate` is what the gimbal's own controller works with. Overshoot, gusts, slips and wrong commands move it, and it
-  is reported (plus white encoder noise).
-* the *true* attitude is the estimate less the heading error: the compass that the yaw estimate rests on is off by up to
-  `heading_error_deg`, drifting slowly. No report shows it; the images do.
+* `estimate` is the attitude that the gimbal's controller works with. Overshoot, gusts, slips and wrong commands move
+  it, and it is reported (plus white encoder noise).
+* the *true* attitude is the estimate minus the heading error: the compass heading that the yaw estimate is based on has
+  an error of up to `heading_error_deg`, drifting slowly. No report shows it; the images do.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Angles(NamedTuple):
 
 
 class Rates(NamedTuple):
-    """Rates of the three axes, degrees a second."""
+    """Rates of the three axes, degrees per second."""
 
     yaw_deg_s: float
     roll_deg_s: float
@@ -41,13 +41,13 @@ class Rates(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """What the gimbal was told.
+    """The gimbal's setpoint.
 
     Attributes:
-        pitch_deg, roll_deg: to the horizon.
+        pitch_deg, roll_deg: relative to the horizon.
         yaw_deg: from true north with `yaw_lock`, else from the vehicle's nose.
-        yaw_lock: hold the yaw against the world, whatever the vehicle does.
-        rates: if given, turn at these rates instead; the angles are ignored.
+        yaw_lock: hold the yaw in the earth frame, independent of the vehicle's heading.
+        rates: if given, rotate at these rates instead; the angles are ignored.
     """
 
     pitch_deg: float = 0.0
@@ -58,7 +58,7 @@ class Target:
 
 
 class Axis:
-    """One axis: a time-optimal reference within rate and acceleration, followed by a second-order loop."""
+    """One axis: a time-optimal reference within rate and acceleration, tracked by a second-order loop."""
 
     def __init__(self, config: AxisConfig, *, loop_hz: float, damping: float, feedforward_frac: float) -> None:
         self.config = config
@@ -72,16 +72,16 @@ class Axis:
         self.rate_deg_s = 0.0
 
     def place(self, angle_deg: float) -> None:
-        """Stand still at an angle."""
+        """Set the angle, at rest."""
         self.reference_deg = self.angle_deg = angle_deg
         self._reference_deg_s = self.rate_deg_s = 0.0
 
     def step(
         self, target_deg: float, disturbance_deg_s2: float, dt: float, slowness: float, speed_deg_s: float = math.inf
     ) -> None:
-        """Advance by `dt` towards the target, which may be infinite, at `speed_deg_s` at most.
+        """Advance by `dt` towards the target, which may be infinite, at most at `speed_deg_s`.
 
-        `slowness` scales the axis's own rate and acceleration.
+        `slowness` scales the axis's rate and acceleration.
         """
         top = min(self.config.rate_deg_s * slowness, speed_deg_s)
         acceleration = self.config.acceleration_deg_s2 * slowness
@@ -90,7 +90,7 @@ class Axis:
         if abs(error) <= quantum * dt and abs(self._reference_deg_s) <= quantum:
             wanted = error / dt
         else:
-            # the speed from which it can still stop at the target in whole steps
+            # the speed from which the axis can still stop at the target in whole steps
             stoppable = quantum * (math.sqrt(1 + 8 * abs(error) / (quantum * dt)) - 1) / 2
             wanted = math.copysign(min(top, stoppable), error)
         change = min(max(wanted - self._reference_deg_s, -quantum), quantum)
@@ -107,23 +107,23 @@ class Axis:
         self.angle_deg += self.rate_deg_s * dt
 
     def stop_at(self, low_deg: float, high_deg: float) -> None:
-        """Hit a mechanical stop."""
+        """Stop at a mechanical end stop."""
         if not low_deg <= self.angle_deg <= high_deg:
             self.angle_deg = min(max(self.angle_deg, low_deg), high_deg)
             self.rate_deg_s = 0.0
 
     def freeze(self) -> None:
-        """Stand still where it is."""
+        """Stop at the current angle."""
         self.place(self.angle_deg)
 
 
 class GimbalPhysics:
-    """Three axes on a vehicle that turns under them.
+    """Three axes on a vehicle that rotates under them.
 
     Attributes:
-        stuck: the motors do not move it (fault).
+        stuck: the motors do not move (fault).
         slowness: factor on rates and accelerations, 1 = healthy (fault).
-        wind_m_s: what blows at the moment.
+        wind_m_s: current wind speed.
     """
 
     def __init__(self, config: GimbalConfig, *, seed: int, step_s: float) -> None:
@@ -140,7 +140,7 @@ class GimbalPhysics:
         self._gusts = [ColouredNoise(config.gust_corner_hz, step_s, gust) for _ in range(3)]
         self._encoder = seeded(seed, "gimbal/encoder")
         self._target = Target()
-        self._nose_deg = 0.0  # the vehicle's heading, counted through any number of turns
+        self._nose_deg = 0.0  # the vehicle's heading, unwrapped
         self._slip = _Slip()
         self.time_s = 0.0
         self.stuck = False
@@ -149,21 +149,21 @@ class GimbalPhysics:
 
     @property
     def target(self) -> Target:
-        """What it was last told, within its limits."""
+        """The last setpoint, clipped to the limits."""
         return self._target
 
     @property
     def heading_error_deg(self) -> float:
-        """Estimated less true yaw at the moment; the vehicle's own heading carries the same error."""
+        """Estimated minus true yaw; the vehicle's own heading has the same error."""
         return self._heading_error.at(self.time_s)
 
     def start_at(self, vehicle_yaw_deg: float) -> None:
-        """Stand level along the vehicle's nose (its estimated heading)."""
+        """Set a level attitude along the vehicle's nose (its estimated heading)."""
         self._nose_deg = vehicle_yaw_deg
         self._yaw.place(vehicle_yaw_deg)
 
     def command(self, target: Target) -> None:
-        """Take a new target; what lies beyond the limits is cut to them, silently, as real gimbals do."""
+        """Set a new target; angles beyond the limits are clipped without notice, as in real gimbals."""
         c = self.config
         yaw = target.yaw_deg
         if not target.yaw_lock and not c.yaw_endless:
@@ -177,11 +177,11 @@ class GimbalPhysics:
         )
 
     def slip(self, yaw_deg: float, pitch_deg: float, hold_s: float) -> None:
-        """Let the pointing run away by so much within 0.04 s, stay for `hold_s`, and come back (fault `drift`)."""
+        """Ramp the pointing off by these angles within 0.04 s, hold for `hold_s`, and return (fault `drift`)."""
         self._slip = _Slip(yaw_deg=yaw_deg, pitch_deg=pitch_deg, start_s=self.time_s, hold_s=hold_s)
 
     def step(self, vehicle_yaw_deg: float) -> None:
-        """Advance by one step of physics over a vehicle whose *estimated* heading is given."""
+        """Advance by one step of physics on a vehicle with the given *estimated* heading."""
         dt = self._step_s
         self.time_s += dt
         turn = _wrap(vehicle_yaw_deg - self._nose_deg)
@@ -190,7 +190,7 @@ class GimbalPhysics:
         strength = self.config.gust_deg_s2 * (self.wind_m_s / _GUST_REFERENCE_M_S) ** 2
         gusts = [strength * gust.step() for gust in self._gusts]
         if self.stuck:
-            # seized bearings: roll and pitch lean with nothing, yaw turns with the vehicle
+            # seized bearings: roll and pitch stay, yaw turns with the vehicle
             for axis in (self._yaw, self._roll, self._pitch):
                 axis.freeze()
             self._yaw.place(self._yaw.angle_deg + vehicle_rate * dt)
@@ -198,7 +198,7 @@ class GimbalPhysics:
         target = self._target
         rates = target.rates
         if not self.config.pans:
-            # levelled about the airframe's own axes, the camera looks along the nose, however the vehicle leans
+            # levelled about the airframe's axes, the camera points along the nose, whatever the vehicle's tilt
             self._yaw.place(self._nose_deg)
             self._yaw.rate_deg_s = vehicle_rate
         elif rates is None:
@@ -219,13 +219,13 @@ class GimbalPhysics:
         self._pitch.stop_at(self.config.pitch.min_deg - margin, self.config.pitch.max_deg + margin)
 
     def _yaw_end(self, rate_deg_s: float) -> float:
-        """Where a turn at this rate must end."""
+        """The angle at which a rotation at this rate must end."""
         if self.config.yaw_endless:
             return math.copysign(math.inf, rate_deg_s)
         return self._nose_deg + _end(rate_deg_s, self.config.yaw)
 
     def _yaw_goal(self) -> float:
-        """The target's yaw in the axis's own count of turns: the near way round, or the way that the stops leave."""
+        """The target's yaw, unwrapped like the axis: the shorter way, or the way that the stops allow."""
         nose, here = self._nose_deg, self._yaw.reference_deg
         goal = self._target.yaw_deg if self._target.yaw_lock else self._target.yaw_deg + nose
         goal = here + _wrap(goal - here)
@@ -241,17 +241,17 @@ class GimbalPhysics:
 
     @property
     def estimate(self) -> Angles:
-        """Where the gimbal's controller believes that it points, noise-free; yaw from north as it knows it."""
+        """The attitude estimate of the gimbal's controller, without noise; yaw from north as estimated."""
         yaw_slip, pitch_slip = self._slip.at(self.time_s)
         return Angles(self._yaw.angle_deg + yaw_slip, self._roll.angle_deg, self._pitch.angle_deg + pitch_slip)
 
     @property
     def truth(self) -> Angles:
-        """Where the camera really points; yaw from true north."""
+        """The true attitude of the camera; yaw from true north."""
         return self.truth_at(self.time_s)
 
     def truth_at(self, t_s: float) -> Angles:
-        """`truth` at a moment at most one step away from the last."""
+        """`truth` at a time at most one step from the last one."""
         angles, rates, ahead = self.estimate, self.rates, t_s - self.time_s
         return Angles(
             angles.yaw_deg - self._heading_error.at(t_s) + rates.yaw_deg_s * ahead,
@@ -261,18 +261,18 @@ class GimbalPhysics:
 
     @property
     def nose_deg(self) -> float:
-        """The vehicle's heading as it is estimated, counted through any number of turns."""
+        """The vehicle's estimated heading, unwrapped."""
         return self._nose_deg
 
     @property
     def rates(self) -> Rates:
-        """Rates of the axes against the world."""
+        """Rates of the axes in the earth frame."""
         now, before = self._slip.at(self.time_s), self._slip.at(self.time_s - self._step_s)
         yaw_slip, pitch_slip = ((a - b) / self._step_s for a, b in zip(now, before, strict=True))
         return Rates(self._yaw.rate_deg_s + yaw_slip, self._roll.rate_deg_s, self._pitch.rate_deg_s + pitch_slip)
 
     def measure(self) -> Angles:
-        """One report: the estimate with fresh encoder noise."""
+        """One report: the estimate with new encoder noise."""
         yaw, roll, pitch = self.estimate
         gauss, c = self._encoder.gauss, self.config
         yaw += gauss(0.0, c.yaw.noise_deg)
@@ -283,7 +283,7 @@ class GimbalPhysics:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Slip:
-    """A pointing error that ramps up, stays and decays."""
+    """A pointing error that ramps up, holds and decays."""
 
     yaw_deg: float = 0.0
     pitch_deg: float = 0.0
@@ -316,7 +316,7 @@ def _clip(angle_deg: float, axis: AxisConfig) -> float:
 
 
 def quaternion(angles: Angles) -> tuple[float, float, float, float]:
-    """`[w, x, y, z]` of Rz(yaw) · Rx(roll) · Ry(pitch), as `panoexec.angles.rotation` but without arrays."""
+    """`[w, x, y, z]` of Rz(yaw) · Rx(roll) · Ry(pitch), like `panoexec.angles.rotation` without arrays."""
     half = math.pi / 360
     cy, sy = math.cos(angles.yaw_deg * half), math.sin(angles.yaw_deg * half)
     cr, sr = math.cos(angles.roll_deg * half), math.sin(angles.roll_deg * half)

@@ -1,7 +1,7 @@
-"""Simulated time, ordered events in it, seeded randomness, and the record of the truth.
+"""Simulated time, ordered events, seeded random numbers, and the ground-truth log.
 
-Nothing in the simulation reads the wall clock but `SimClock`. Physics and messages happen at moments of simulated time,
-in order, however late the process gets to them; so a seed gives the same numbers at every speed-up.
+Only `SimClock` reads the wall clock. Physics and messages happen at moments of simulated time, in order, however late
+they are computed; so a seed gives the same numbers at every speed-up.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ Action: TypeAlias = Callable[[], None]
 
 
 class SimClock:
-    """Maps the wall to simulated seconds since the start, `speedup` of them a second.
+    """Maps wall time to simulated seconds since the start, at `speedup` simulated seconds per second.
 
-    A simulation that cannot keep up, or that is held, goes on from where it is: time slows down, nothing is skipped.
+    A simulation that cannot keep up, or that is paused, continues from its current time: time slows down, nothing is
+    skipped.
 
     Attributes:
-        jump_s: what is wrong with its UTC (fault).
+        jump_s: error of its UTC (fault).
     """
 
     def __init__(self, speedup: float = 1.0, *, monotonic: Callable[[], float] = time.monotonic) -> None:
@@ -44,30 +45,30 @@ class SimClock:
         return self._zero_s + (self._monotonic() - self._start) * self.speedup
 
     def wall_delay(self, simulated_s: float) -> float:
-        """Wall seconds from now until that simulated moment; negative when it is over."""
+        """Wall seconds from now until a simulated moment; negative if it has passed."""
         return self._start + (simulated_s - self._zero_s) / self.speedup - self._monotonic()
 
     def utc(self, simulated_s: float) -> float:
-        """UTC, seconds since 1970, of a simulated moment: when it really happens on the wall."""
+        """UTC, seconds since 1970, of a simulated moment: the wall time at which it happens."""
         return self._start_utc + (simulated_s - self._zero_s) / self.speedup + self.jump_s
 
     def go_on(self, simulated_s: float, speedup: float) -> None:
-        """From that moment on, which is now, at this speed: what the wall is ahead is forgotten."""
+        """Continue from the given simulated moment now, at a new speed; any lag is discarded."""
         self._zero_s, self.speedup = simulated_s, speedup
         self._start = self._monotonic()
         self._start_utc = time.time()
 
 
 def seeded(seed: int, name: str) -> random.Random:
-    """A generator of its own for each purpose, so that one's appetite does not change another's numbers."""
+    """A separate random generator for each purpose, so that they do not influence each other."""
     digest = hashlib.sha256(f"{seed}/{name}".encode()).digest()
     return random.Random(int.from_bytes(digest[:8], "big"))
 
 
 class BoundedDrift:
-    """A slow wandering within ±`bound`: a sum of four sines of unrelated periods, a pure function of time.
+    """A slow drift within ±`bound`: a sum of four sines of incommensurable periods, a pure function of time.
 
-    Unlike a random walk it needs no steps, never leaves its bound and is smooth; its standard deviation is 0.35 of the
+    Unlike a random walk it needs no steps, never exceeds its bound and is smooth; its standard deviation is 0.35 of the
     bound.
     """
 
@@ -78,7 +79,7 @@ class BoundedDrift:
         self._omegas = [2 * math.pi / (shortest_period_s * period) for period in self._PERIODS]
         self._phases = [rng.uniform(0, 2 * math.pi) for _ in self._PERIODS]
 
-    # written out: these run some ten thousand times a second at a speed-up of 20
+    # unrolled: these run some ten thousand times per second at a speed-up of 20
 
     def at(self, t_s: float) -> float:
         """Its value at simulated time `t_s`."""
@@ -86,7 +87,7 @@ class BoundedDrift:
         return self._amplitude * (sin(a * t_s + e) + sin(b * t_s + f) + sin(c * t_s + g) + sin(d * t_s + h))
 
     def rate_at(self, t_s: float) -> float:
-        """Its derivative, a second, at simulated time `t_s`."""
+        """Its time derivative, per second, at simulated time `t_s`."""
         (a, b, c, d), (e, f, g, h), cos = self._omegas, self._phases, math.cos
         return self._amplitude * (
             a * cos(a * t_s + e) + b * cos(b * t_s + f) + c * cos(c * t_s + g) + d * cos(d * t_s + h)
@@ -109,7 +110,7 @@ class ColouredNoise:
 
 
 class Timeline:
-    """Actions at moments of simulated time, run in order of time, then of scheduling."""
+    """Actions scheduled in simulated time, executed in order of time, then of scheduling."""
 
     def __init__(self) -> None:
         self._heap: list[tuple[float, int, Action]] = []
@@ -118,19 +119,19 @@ class Timeline:
 
     @property
     def next_s(self) -> float:
-        """When the next action is due; infinity if none is."""
+        """Time of the next action; infinity if there is none."""
         return self._heap[0][0] if self._heap else math.inf
 
     def at(self, t_s: float, action: Action) -> None:
-        """Run the action at `t_s`, or at once on the next run if that is over."""
+        """Schedule an action at `t_s`; if that has passed, at the next run."""
         heapq.heappush(self._heap, (t_s, next(self._count), action))
 
     def after(self, delay_s: float, action: Action) -> None:
-        """Run the action `delay_s` from now."""
+        """Schedule an action `delay_s` from now."""
         self.at(self.now_s + delay_s, action)
 
     def run_until(self, t_s: float) -> None:
-        """Run everything due up to and including `t_s`, each with `now_s` at its own moment."""
+        """Run all actions due up to and including `t_s`, each with `now_s` at its own time."""
         heap = self._heap
         while heap and heap[0][0] <= t_s:
             due, _, action = heapq.heappop(heap)
@@ -140,7 +141,7 @@ class Timeline:
 
 
 class Repeater:
-    """An action at a fixed interval on a timeline, on a grid of its own so that the rate is exact.
+    """An action at a fixed interval on a timeline; it keeps its own time grid, so the rate is exact.
 
     Attributes:
         interval_s: between two runs; 0 = stopped.
@@ -155,7 +156,7 @@ class Repeater:
         self.interval_s = 0.0
 
     def start(self, interval_s: float, *, first_after_s: float | None = None) -> None:
-        """Run at this interval from now on; a former interval ends."""
+        """Run at this interval from now on, replacing an earlier interval."""
         self.stop()
         self.interval_s = interval_s
         self._first_s = self._timeline.now_s + (interval_s if first_after_s is None else first_after_s)
@@ -163,7 +164,7 @@ class Repeater:
         self._schedule()
 
     def stop(self) -> None:
-        """Run no more."""
+        """Stop running."""
         self._generation += 1
         self.interval_s = 0.0
 
@@ -181,9 +182,9 @@ class Repeater:
 
 
 class TruthLog:
-    """What really happened, one JSON object a line, for tests to compare with what was reported.
+    """Ground truth, one JSON object per line, for tests to compare with the reports.
 
-    Without a path it keeps nothing.
+    Without a path nothing is written.
     """
 
     def __init__(self, path: Path | None) -> None:
@@ -196,7 +197,7 @@ class TruthLog:
             self._file.flush()
 
     def close(self) -> None:
-        """Write no more."""
+        """Close the file."""
         if self._file is not None:
             self._file.close()
             self._file = None

@@ -1,4 +1,4 @@
-"""A mission in the daemon that meets an error of ours: it ends, the daemon does not."""
+"""An internal error in a mission: it ends the mission, not the daemon."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A mission that an error of ours ends, a full disk's above all: it cannot announce its end itself."""
+"""Missions ended by an internal error, such as a full disk: the mission cannot announce its end itself."""
 
 from __future__ import annotations
 

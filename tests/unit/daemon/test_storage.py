@@ -18,7 +18,7 @@ from panoexec.mqtt.transactions import Transactions
     ("found", "says"),
     [
         ({"f_flag": 0, "f_bavail": 300_000, "f_frsize": 1000}, ""),
-        ({"f_flag": 0, "f_bavail": 199_000, "f_frsize": 1000}, "has 199 MB left: [storage] min_free_mb asks for 200"),
+        ({"f_flag": 0, "f_bavail": 199_000, "f_frsize": 1000}, "has 199 MB left: [storage] min_free_mb requires 200"),
         ({"f_flag": os.ST_RDONLY, "f_bavail": 300_000, "f_frsize": 1000}, "is read-only"),
     ],
 )

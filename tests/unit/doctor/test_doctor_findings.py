@@ -1,4 +1,4 @@
-"""What findings add up to, and what is said of this computer."""
+"""Findings of the doctor, and its checks of the computer."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from panoexec.inputs.config import Config
 @pytest.mark.parametrize(
     ("missing", "code"), [([], 0), (["disk"], 1), (["clock", "mission"], 1), (["disk", "broker"], 3), (["gimbal"], 3)]
 )
-def test_the_exit_code_says_what_is_missing(missing: list[str], code: int) -> None:
+def test_exit_code_depends_on_the_area_of_missing_items(missing: list[str], code: int) -> None:
     findings = Findings()
     findings.ok("link", "port", "there")
     findings.warning("camera", "storage", "little")
@@ -39,7 +39,7 @@ def test_findings_are_shown_area_by_area() -> None:
     assert set(AREAS) >= DEVICE_AREAS
 
 
-def test_a_judgement_gives_advice_only_where_something_is_missing() -> None:
+def test_judge_adds_advice_only_to_missing_items() -> None:
     findings = Findings()
     findings.judge("disk", "room", 1 > 0, "much", advice="delete")
     findings.judge("disk", "room", 1 < 0, "little", advice="delete")
@@ -55,7 +55,7 @@ def test_advice_names_the_autopilots_own_parameters_or_both_kinds() -> None:
     assert "PX4: MNT_MODE_IN" in both
 
 
-def test_advice_for_px4_names_no_parameter_that_it_has_given_up() -> None:
+def test_advice_for_px4_names_no_removed_parameter() -> None:
     # outputs get their function by number since 1.13: 2000 Camera_Trigger, 2032 Camera_Capture (output_functions.yaml)
     assert "TRIG_PINS" not in advise("camera", "px4")
     assert "PWM_AUX_FUNCn = 2000" in advise("camera", "px4")
@@ -76,7 +76,7 @@ def verdict(findings: Findings, area: str, check: str) -> tuple[str, str]:
     return found.verdict.value, f"{found.found} {found.advice}"
 
 
-def test_a_storage_that_can_be_used(tmp_path: Path) -> None:
+def test_usable_storage(tmp_path: Path) -> None:
     findings = Findings()
     machine.check_machine(a_config(tmp_path / "new"), tmp_path / "c.toml", findings)
     assert verdict(findings, "disk", "storage")[0] == "ok"
@@ -85,7 +85,7 @@ def test_a_storage_that_can_be_used(tmp_path: Path) -> None:
     assert list((tmp_path / "new").iterdir()) == [], "nothing is left behind"
 
 
-def test_a_storage_that_cannot_be_written_and_one_without_room(tmp_path: Path) -> None:
+def test_unwritable_and_full_storage_are_missing(tmp_path: Path) -> None:
     findings = Findings()
     machine.check_disk(a_config(Path("/proc/nowhere")), findings)
     kind, text = verdict(findings, "disk", "storage")
@@ -97,7 +97,7 @@ def test_a_storage_that_cannot_be_written_and_one_without_room(tmp_path: Path) -
     assert verdict(findings, "disk", "room")[0] == "missing"
 
 
-def test_a_slow_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slow_disk_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, "_sync_time", lambda _: 0.5)
     findings = Findings()
     machine.check_disk(a_config(tmp_path), findings)
@@ -112,7 +112,7 @@ def test_a_slow_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         (datetime(2026, 12, 1, tzinfo=UTC), "20261202T000000.000Z", "missing"),
     ],
 )
-def test_a_clock_that_cannot_be_right(
+def test_implausible_clock_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, now: datetime, mission: str, kind: str
 ) -> None:
     if mission:
@@ -124,7 +124,7 @@ def test_a_clock_that_cannot_be_right(
 
 
 @pytest.mark.parametrize(("answer", "kind"), [(True, "ok"), (False, "warning"), (None, "note")])
-def test_a_clock_that_nobody_sets(
+def test_clock_without_time_service(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answer: bool | None, kind: str
 ) -> None:
     monkeypatch.setattr(machine, "clock_synchronised", lambda: answer)
@@ -133,7 +133,7 @@ def test_a_clock_that_nobody_sets(
     assert verdict(findings, "clock", "synchronised")[0] == kind
 
 
-def test_the_kernel_can_be_asked() -> None:
+def test_kernel_reports_clock_synchronisation() -> None:
     assert machine.clock_synchronised() in (True, False, None)
 
 
@@ -144,7 +144,7 @@ def test_the_kernel_can_be_asked() -> None:
         ({"serial": "auto"}, "runuser -u panoexec -g panoexec -G dialout -- panoexec doctor"),
     ],
 )
-def test_root_is_told_how_to_look_as_the_service(
+def test_root_gets_the_command_for_the_service_user(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, vehicle: dict[str, object], user: str
 ) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: 0)
@@ -156,7 +156,7 @@ def test_root_is_told_how_to_look_as_the_service(
     assert finding.advice == f"{user} --config {tmp_path / 'c.toml'}"
 
 
-def test_serial_devices_must_be_there_and_ours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_serial_devices_must_exist_and_be_accessible(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     device = tmp_path / "ttyACM0"
     device.write_text("")
     config = a_config(

@@ -1,4 +1,4 @@
-"""How an autopilot binary is chosen, started, watched and ended; with programs that stand in for it."""
+"""Choosing, starting, monitoring and stopping an autopilot binary, with stand-in programs."""
 
 import asyncio
 import itertools
@@ -84,18 +84,18 @@ def test_a_binary_is_taken_from_the_option_or_the_environment(tmp_path: Path, mo
 
 @pytest.mark.parametrize(
     ("name", "problem"),
-    [("missing", "no such file"), ("folder", "is no file"), ("plain", "no executable"), ("vehicle.py", "a script")],
+    [("missing", "no such file"), ("folder", "not a file"), ("plain", "not executable"), ("vehicle.py", "a script")],
 )
-def test_what_is_no_binary_is_refused_by_name(tmp_path: Path, name: str, problem: str) -> None:
+def test_invalid_binaries_are_rejected_by_name(tmp_path: Path, name: str, problem: str) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "plain").touch()
     program(tmp_path / "vehicle.py", "")
-    with pytest.raises(UsageError, match=f"{name}: .*{problem}.*accepted is") as caught:
+    with pytest.raises(UsageError, match=f"{name}: .*{problem}.*expected") as caught:
         sitl_binary(str(tmp_path / name))
     assert caught.value.exit_code == 2
 
 
-async def test_it_gets_our_parameters_and_a_folder_of_its_own(tmp_path: Path) -> None:
+async def test_it_gets_our_parameters_and_its_own_folder(tmp_path: Path) -> None:
     told = tmp_path / "told"
     binary = program(tmp_path / "sitl", WAITS.format(told=str(told)))
     async with running_sitl(options(binary)) as sitl:
@@ -113,7 +113,7 @@ async def test_it_gets_our_parameters_and_a_folder_of_its_own(tmp_path: Path) ->
     assert is_gone(folder)
 
 
-def test_the_parameter_file_says_what_a_first_boot_needs() -> None:
+def test_parameter_file_contains_what_a_first_boot_needs() -> None:
     lines = (ROOT / "config" / PARAMETER_FILE).read_text(encoding="utf-8").splitlines()
     values = [line.partition("#")[0].split() for line in lines]
     known = {name: float(value) for name, value in filter(None, values)}
@@ -122,7 +122,7 @@ def test_the_parameter_file_says_what_a_first_boot_needs() -> None:
     assert (known["FRAME_CLASS"], known["MNT1_PITCH_MIN"]) == (1, -90)
 
 
-async def test_it_is_killed_if_it_does_not_want_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_it_is_killed_if_it_ignores_sigterm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("panoexec.dryrun.autopilot._TERM_S", 0.2)
     told = tmp_path / "told"
     stubborn = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n" + textwrap.dedent(
@@ -137,11 +137,11 @@ async def test_it_is_killed_if_it_does_not_want_to_end(tmp_path: Path, monkeypat
     ("text", "words"),
     [
         ("print('panic: no frame'); raise SystemExit(3)", r"exit code 3\).*panic: no frame"),
-        ("import os; os.kill(os.getpid(), 11)", r"signal 11\).*said nothing"),
+        ("import os; os.kill(os.getpid(), 11)", r"signal 11\).*without output"),
         ("", r"exit code 0"),
     ],
 )
-async def test_an_early_end_is_told_with_its_last_words(tmp_path: Path, text: str, words: str) -> None:
+async def test_unexpected_exit_reports_the_last_output_line(tmp_path: Path, text: str, words: str) -> None:
     async with running_sitl(options(program(tmp_path / "sitl", text))) as sitl:
         with pytest.raises(DeviceError, match=words):
             await asyncio.wait_for(sitl.watch(), 10)
@@ -152,7 +152,7 @@ async def test_a_file_that_cannot_run_here_is_a_usage_error(tmp_path: Path) -> N
     foreign.write_bytes(b"\x7fELF no program of this machine")
     foreign.chmod(0o755)
     async with running_sitl(options(foreign)) as sitl:
-        with pytest.raises(UsageError, match="cannot be run"):
+        with pytest.raises(UsageError, match="cannot be executed"):
             await asyncio.wait_for(sitl.watch(), 10)
 
 

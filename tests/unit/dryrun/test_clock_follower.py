@@ -1,4 +1,4 @@
-"""A clock that follows an autopilot's, and how fast that may be."""
+"""A clock that follows an autopilot, and the control of its speed-up."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from panoexec.adapters.link.message_hub import Handler, MavMessage
 from panoexec.clock import VehicleClock
-from panoexec.dryrun.clock_follower import AUTOPILOT, WORK_S, ClockFollower, Haste
+from panoexec.dryrun.clock_follower import AUTOPILOT, WORK_S, ClockFollower, SpeedupController
 from panoexec.errors import DeviceError
 
 
@@ -30,7 +30,7 @@ class Autopilot:
         self._handler(MavMessage("SYSTEM_TIME", component, {"time_boot_ms": round(boot_s * 1e3)}, 0.0))
 
 
-async def test_the_mission_lives_the_autopilots_time_across_its_restarts() -> None:
+async def test_mission_time_follows_the_autopilot_across_reboots() -> None:
     clock, autopilot = VehicleClock(), Autopilot()
     with ClockFollower(clock).following(autopilot):
         autopilot.tell(7.0)
@@ -48,7 +48,7 @@ async def test_the_mission_lives_the_autopilots_time_across_its_restarts() -> No
     assert clock.monotonic() == pytest.approx(8.1)
 
 
-async def test_nobody_waits_for_a_dead_autopilot(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_time_advances_without_a_lost_autopilot(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("panoexec.dryrun.clock_follower._LOOK_S", 0.01)
     clock, autopilot = VehicleClock(), Autopilot()
     async with asyncio.timeout(20):
@@ -59,7 +59,7 @@ async def test_nobody_waits_for_a_dead_autopilot(monkeypatch: pytest.MonkeyPatch
             assert clock.monotonic() >= told_s + 0.1 - 1e-6
 
 
-async def test_an_autopilot_that_is_too_fast_for_its_commands_is_asked_to_slow_down() -> None:
+async def test_speedup_is_reduced_when_commands_take_too_long() -> None:
     clock, autopilot, asked = VehicleClock(), Autopilot(), list[float]()
     slower = asyncio.Event()
 
@@ -83,24 +83,24 @@ async def test_an_autopilot_that_is_too_fast_for_its_commands_is_asked_to_slow_d
 
 
 @given(st.floats(0.001, 0.1), st.floats(1.0, 50.0))
-def test_haste_settles_where_work_costs_what_it_may(work_real_s: float, wanted: float) -> None:
-    haste = Haste(wanted)
+def test_speedup_converges_to_the_permitted_work_time(work_real_s: float, wanted: float) -> None:
+    controller = SpeedupController(wanted)
     for _ in range(60):
-        haste.worked(work_real_s * haste.speed)
+        controller.record(work_real_s * controller.speed)
     best = min(wanted, max(1.0, WORK_S / work_real_s))
-    assert best / 1.2 <= haste.speed <= best * 1.2
-    assert haste.speed <= wanted
+    assert best / 1.2 <= controller.speed <= best * 1.2
+    assert controller.speed <= wanted
 
 
-def test_haste_is_never_less_than_real_time_and_recovers() -> None:
-    haste = Haste(20.0)
+def test_speedup_is_never_below_real_time_and_recovers() -> None:
+    controller = SpeedupController(20.0)
     for _ in range(20):
-        haste.worked(2.0)
-    assert haste.speed == 1.0
+        controller.record(2.0)
+    assert controller.speed == 1.0
     for _ in range(60):
-        haste.worked(0.001 * haste.speed)
-    assert 20.0 / 1.15 <= haste.speed <= 20.0  # small changes are not worth a message
-    slow = Haste(0.5)
+        controller.record(0.001 * controller.speed)
+    assert 20.0 / 1.15 <= controller.speed <= 20.0  # small changes are not worth a message
+    slow = SpeedupController(0.5)
     for _ in range(20):
-        slow.worked(2.0)
+        slow.record(2.0)
     assert slow.speed == 0.5

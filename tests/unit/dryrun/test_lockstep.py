@@ -1,4 +1,4 @@
-"""A vehicle and a mission at one time: neither gets ahead of the other, however late each of them is."""
+"""Lockstep of vehicle and mission: neither gets ahead of the other, whatever their delays."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ async def together(vehicle: VehicleInAThread) -> AsyncIterator[tuple[VehicleCloc
         vehicle.stop()
 
 
-async def test_whoever_sleeps_wakes_at_the_vehicles_very_moment() -> None:
+async def test_sleepers_wake_at_the_exact_vehicle_time() -> None:
     vehicle = VehicleInAThread()
     async with together(vehicle) as (clock, keeper):
         await keeper.begin()
@@ -127,7 +127,7 @@ async def test_real_work_takes_small_steps_no_faster_than_real_time() -> None:
         assert vehicle.steps[-1][2] == 20.0
 
 
-async def test_a_word_that_was_lost_costs_a_moment_only(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_lost_time_message_delays_only_briefly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("panoexec.dryrun.lockstep._LOOK_S", 0.05)
     vehicle = VehicleInAThread()
     async with together(vehicle) as (clock, keeper):
@@ -138,7 +138,7 @@ async def test_a_word_that_was_lost_costs_a_moment_only(monkeypatch: pytest.Monk
         assert vehicle.now_s == pytest.approx(clock.monotonic(), abs=AHEAD_S)
 
 
-async def test_time_goes_on_without_a_vehicle_that_died(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_time_advances_without_a_lost_vehicle(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("panoexec.dryrun.lockstep._LOOK_S", 0.01)
     vehicle = VehicleInAThread()
     async with together(vehicle) as (clock, keeper):
@@ -149,7 +149,7 @@ async def test_time_goes_on_without_a_vehicle_that_died(monkeypatch: pytest.Monk
         assert clock.monotonic() >= died_s + 0.2 - 1e-5
 
 
-async def test_before_the_first_word_the_vehicle_goes_on_in_real_time() -> None:
+async def test_vehicle_advances_in_real_time_before_the_first_message() -> None:
     clock, allowed, enough = VehicleClock(), list[tuple[float, float]](), asyncio.Event()
 
     def allow(until_s: float, speed: float) -> None:

@@ -1,4 +1,4 @@
-"""The pilot of simulated flights, on an autopilot that is a few lines of Python."""
+"""The pilot of simulated flights, with a scripted autopilot."""
 
 from __future__ import annotations
 
@@ -133,13 +133,13 @@ async def test_it_waits_for_gps_and_estimator_and_climbs() -> None:
     assert not autopilot.status.armed
 
 
-async def test_the_mission_begins_where_it_stands_still_and_not_where_the_wind_has_pushed_it() -> None:
+async def test_take_off_waits_until_the_vehicle_holds_its_position() -> None:
     pilot, autopilot = flown(still_from_s=50.0)
     await pilot.take_off(30.0)
     assert autopilot.clock.now_s >= 50.0 + 3.0
 
 
-async def test_a_vehicle_that_never_stands_still_is_the_missions_business() -> None:
+async def test_take_off_ends_even_if_the_vehicle_never_holds_its_position() -> None:
     pilot, autopilot = flown(still_from_s=1e9)
     await pilot.take_off(30.0)
     assert autopilot.clock.now_s < 120.0
@@ -148,14 +148,14 @@ async def test_a_vehicle_that_never_stands_still_is_the_missions_business() -> N
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"kind": FIXED_WING}, r"no multirotor \(MAV_TYPE 1\)"),
-        ({"fix_from_s": 1e9}, r"no GPS fix within 180 s \(fix type 1, 3 is needed\)"),
+        ({"kind": FIXED_WING}, r"not a multirotor \(MAV_TYPE 1\)"),
+        ({"fix_from_s": 1e9}, r"no GPS fix within 180 s \(fix type 1, 3 is required\)"),
         ({"arms_from_s": 1e9}, r"could not be armed within 180 s: Arm: Need Position Estimate$"),
-        ({"climbs": False}, r"climbing: not done within 180 s"),
+        ({"climbs": False}, r"climbing: not completed within 180 s"),
         ({"result": 4}, r"changing to GUIDED: failed"),
     ],
 )
-async def test_what_keeps_it_on_the_ground_is_told(changes: dict[str, Any], words: str) -> None:
+async def test_errors_name_what_prevents_the_flight(changes: dict[str, Any], words: str) -> None:
     pilot, autopilot = flown(**changes)
     with pytest.raises(DeviceError, match=words) as caught:
         await pilot.take_off(30.0)
@@ -163,8 +163,8 @@ async def test_what_keeps_it_on_the_ground_is_told(changes: dict[str, Any], word
     assert autopilot.handlers == []
 
 
-async def test_a_vehicle_that_does_not_come_down_is_told() -> None:
+async def test_landing_timeout_is_an_error() -> None:
     pilot, _ = flown(lands=False)
     await pilot.take_off(30.0)
-    with pytest.raises(DeviceError, match="landing: not done within 120 s"):
+    with pytest.raises(DeviceError, match="landing: not completed within 120 s"):
         await pilot.land()

@@ -1,4 +1,4 @@
-"""The vehicles that a dry-run can be flown on: what they refuse, and how they end when a part of them dies."""
+"""Vehicles for dry-runs: rejected settings, and shutdown when a part fails."""
 
 import asyncio
 import os
@@ -22,7 +22,7 @@ def silent(text: str) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(AUTOPILOT_FAULTS))
-def test_faults_of_the_embedded_autopilot_are_refused_of_a_real_one(name: str) -> None:
+def test_faults_of_the_embedded_autopilot_are_rejected_for_a_real_one(name: str) -> None:
     simulation = SimConfig(faults=(parse_fault(name),), attach_url="tcp:127.0.0.1:1")
     with pytest.raises(UsageError, match=rf"--fault {name}: .*--sitl"):
         SitlVehicle(binary=NOWHERE, simulation=simulation)
@@ -36,10 +36,10 @@ def test_faults_of_the_embedded_autopilot_are_refused_of_a_real_one(name: str) -
     [
         (SimConfig(autopilot="px4"), "--autopilot px4"),
         (SimConfig(mount="servo"), "--mount"),
-        (SimConfig(camera_kind="servo", faults=(parse_fault("photo-lost"),)), "speaks for the camera"),
+        (SimConfig(camera_kind="servo", faults=(parse_fault("photo-lost"),)), "reports the photos"),
     ],
 )
-def test_what_a_real_ardupilot_is_not_is_refused(simulation: SimConfig, named: str) -> None:
+def test_settings_that_a_real_autopilot_lacks_are_rejected(simulation: SimConfig, named: str) -> None:
     with pytest.raises(UsageError, match=named):
         SitlVehicle(binary=NOWHERE, simulation=simulation)
 
@@ -55,14 +55,14 @@ def test_the_wind_is_full_where_the_vehicle_hovers() -> None:
     assert told["SIM_WIND_T_ALT"] < 30
 
 
-def test_the_autopilot_is_told_of_a_mount_that_does_not_pan_and_of_a_shutter_on_its_outputs() -> None:
+def test_parameters_for_a_two_axis_mount_and_a_servo_shutter() -> None:
     assert payload_parameters(SimConfig()) == {}
     axis = AxisConfig(rate_deg_s=90.0, acceleration_deg_s2=360.0, min_deg=0.0, max_deg=0.0)
     told = payload_parameters(SimConfig(gimbal=GimbalConfig(yaw=axis, yaw_endless=False), camera_kind="servo"))
     assert told == {"MNT1_YAW_MIN": 0.0, "MNT1_YAW_MAX": 0.0, "CAM1_TYPE": 1.0, "SERVO9_FUNCTION": 10.0}
 
 
-def test_a_connection_that_is_none_is_refused_before_anything_starts() -> None:
+def test_invalid_connection_is_rejected_before_anything_starts() -> None:
     with pytest.raises(UsageError, match="foo://bar"):
         ConnectedVehicle(connection="foo://bar", simulation=SimConfig())
 
@@ -74,7 +74,7 @@ async def test_a_connected_vehicle_starts_nothing_and_is_not_flown() -> None:
     assert vehicle.speedup == 3.0
 
 
-async def test_a_sitl_that_ends_early_takes_the_payload_with_it(tmp_path: Path) -> None:
+async def test_payload_is_stopped_when_the_sitl_exits_early(tmp_path: Path) -> None:
     binary = tmp_path / "arducopter"
     binary.write_text(f"#!{sys.executable} -S\nprint('panic: wrong model'); raise SystemExit(1)\n", encoding="utf-8")
     binary.chmod(binary.stat().st_mode | stat.S_IXUSR)
@@ -94,11 +94,11 @@ async def test_a_simulation_that_dies_ends_the_block() -> None:
             os.kill(pid, signal.SIGKILL)
             await asyncio.sleep(30)
 
-    with pytest.raises(DeviceError, match="has ended by itself"):
+    with pytest.raises(DeviceError, match="exited unexpectedly"):
         await fly()
 
 
-async def test_an_error_inside_the_block_comes_out_as_it_is() -> None:
+async def test_error_inside_the_block_propagates_unchanged() -> None:
     vehicle = EmbeddedVehicle(simulation=SimConfig())
     with pytest.raises(ZeroDivisionError):
         async with vehicle.running(images=None, note=silent):

@@ -1,4 +1,4 @@
-"""A photo, read back from its file, shows the scene where its own tags say that it looked."""
+"""A photo, read back from its file, shows the scene in the direction given by its own tags."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/simulator.md knows every number and every fault, with its default."""
+"""docs/simulator.md lists every parameter and every fault with its default."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults: how they are named, when they strike."""
+"""Faults: syntax and timing."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ISSUE_NAMES = {
 }
 
 
-def test_every_fault_that_was_asked_for_is_there_and_can_be_named_alone() -> None:
+def test_every_required_fault_exists_and_can_be_given_by_name_only() -> None:
     assert set(FAULTS) == ISSUE_NAMES
     for name, fault in FAULTS.items():
         spec = parse_fault(name)
@@ -54,7 +54,7 @@ def test_every_fault_that_was_asked_for_is_there_and_can_be_named_alone() -> Non
         ("battery-low=30,x0.1", FaultSpec(name="battery-low", size=0.1, spans=((30.0, 35.0),))),
     ],
 )
-def test_values_say_when_and_how_much(text: str, spec: FaultSpec) -> None:
+def test_values_give_times_and_size(text: str, spec: FaultSpec) -> None:
     assert parse_fault(text) == spec
 
 
@@ -63,16 +63,16 @@ def test_values_say_when_and_how_much(text: str, spec: FaultSpec) -> None:
     [
         ("gimbal-stuk", r"unknown fault 'gimbal-stuk'; known are attitude-frozen, .*gimbal-stuck"),
         ("=3", "unknown fault ''"),
-        ("link-loss=soon", "cannot read 'soon'; accepted are a probability below 1 like 0.3, seconds START"),
-        ("link-loss=x3", "cannot read 'x3'"),
-        ("link-loss=#3", "cannot read '#3'"),
-        ("photo-lost=7", "cannot read '7'; .*photo numbers like #3"),
-        ("drift=t3", "cannot read 't3'; .*a size in deg like x2"),
-        ("drift=#0", "cannot read '#0'"),
-        ("drift=-1", "cannot read '-1'"),
+        ("link-loss=soon", "invalid part 'soon'; expected a probability below 1 like 0.3, or seconds START"),
+        ("link-loss=x3", "invalid part 'x3'"),
+        ("link-loss=#3", "invalid part '#3'"),
+        ("photo-lost=7", "invalid part '7'; .*photo numbers like #3"),
+        ("drift=t3", "invalid part 't3'; .*a size in deg like x2"),
+        ("drift=#0", "invalid part '#0'"),
+        ("drift=-1", "invalid part '-1'"),
     ],
 )
-def test_what_means_nothing_is_refused_with_what_would(text: str, complaint: str) -> None:
+def test_invalid_values_are_rejected_with_the_accepted_forms(text: str, complaint: str) -> None:
     with pytest.raises(UsageError, match=complaint) as caught:
         parse_fault(text)
     assert "\n" not in str(caught.value)
@@ -100,7 +100,7 @@ def test_moments_fire_once_each() -> None:
     assert not two.fires("battery-low", 99.0)
 
 
-def test_photo_faults_strike_numbers_spans_and_shares() -> None:
+def test_photo_faults_by_number_span_and_probability() -> None:
     some = faults("photo-lost=#2", "capture-lost=10+5", "capture-twice=0.25")
     hits: dict[str, list[int]] = {"photo-lost": [], "capture-lost": [], "capture-twice": []}
     for number in range(400):
@@ -125,7 +125,7 @@ def test_drift_never_strikes_twice_in_a_row_so_that_a_retake_ends_well(value: st
     assert not any(a and b for a, b in itertools.pairwise(hits))
 
 
-def test_random_spans_come_from_the_seed_and_not_from_who_asks() -> None:
+def test_random_spans_depend_on_the_seed_and_not_on_queries() -> None:
     def active(seed: int, step: float) -> list[bool]:
         one = faults("gust=0.8", seed=seed)
         one.photo_commanded(10.0)

@@ -15,7 +15,7 @@ from panoexec.sim.faults import FAULTS, parse_fault
 from panoexec.sim.options import add_arguments, config_of
 
 
-def test_a_configuration_survives_json_whole() -> None:
+def test_configuration_round_trips_through_json() -> None:
     config = SimConfig(
         port=14999,
         autopilot="px4",
@@ -73,12 +73,12 @@ def test_options_become_a_configuration() -> None:
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        (["--speedup", "0"], r"--speedup 0: accepted is more than 0 and at most 100"),
+        (["--speedup", "0"], r"--speedup 0: expected more than 0 and at most 100"),
         (["--speedup", "-2"], "--speedup -2"),
         (["--speedup", "inf"], "--speedup inf"),
-        (["--port", "0"], "--port 0: accepted are 1 to 65535"),
+        (["--port", "0"], "--port 0: expected 1 to 65535"),
         (["--port", "70000"], "--port 70000"),
-        (["--wind", "-1"], "--wind -1.0: accepted are 0 to 30 m/s"),
+        (["--wind", "-1"], "--wind -1.0: expected 0 to 30 m/s"),
         (["--wind", "nan"], "--wind nan"),
         (["--image-width", "3"], "--image-width 3"),
         (["--fault", "nope"], "unknown fault 'nope'"),

@@ -38,12 +38,12 @@ def test_a_sector_takes_its_share_of_the_columns() -> None:
 
 
 @pytest.mark.parametrize(("columns", "rows"), [(0, 4), (8, 0), (-1, 4), (10**9, 4), (1000, 1000)])
-def test_impossible_grids_are_refused(columns: int, rows: int) -> None:
+def test_invalid_grids_are_rejected(columns: int, rows: int) -> None:
     with pytest.raises(PlanningError, match=r"columns|rows"):
         plan_hdrpano(X5S_15MM, wanted(), columns, rows)
 
 
-def test_a_grid_beyond_the_gimbal_is_refused() -> None:
+def test_grid_beyond_the_gimbal_limits_is_rejected() -> None:
     constraints = Constraints(
         overlap_h=0.15, overlap_v=0.15, band=wanted().band, gimbal=GimbalLimits(pitch_min_deg=-60)
     )

@@ -42,7 +42,7 @@ def test_a_ray_just_off_an_image_counts_only_when_relaxed_enough() -> None:
     assert raycast_overlap(CAMERA, a, b, grid=(50, 50), relaxed_by_deg=apart + 1.0) > 0.0
 
 
-def test_another_camera_may_be_asked_about() -> None:
+def test_images_of_two_cameras() -> None:
     narrow = Camera.from_fov(20, 15)
     inside = raycast_overlap(narrow, rotation(0.0, 0.0), rotation(0.0, 0.0), grid=(30, 30), camera_b=CAMERA)
     assert inside == 1.0

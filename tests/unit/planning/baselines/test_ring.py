@@ -13,7 +13,7 @@ cameras = st.builds(Camera.from_fov, fov, fov)
 
 
 @given(cameras, st.floats(-90, 90), st.floats(0.1, 90))
-def test_an_image_covers_its_ring_wherever_one_looks(camera: Camera, pitch: float, reach: float) -> None:
+def test_image_covers_its_ring_at_every_azimuth(camera: Camera, pitch: float, reach: float) -> None:
     low, high = (float(x) for x in ring(camera, pitch, reach))
     assume(high > low)
     azimuth, share = np.meshgrid(np.linspace(-reach, reach, 41), np.linspace(0, 1, 21))

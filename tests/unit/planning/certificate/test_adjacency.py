@@ -1,4 +1,4 @@
-"""Neighbours, next rows and the graph."""
+"""Neighbours, adjacent rows and the overlap graph."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from panoexec.angles import rotation
-from panoexec.planning.certificate.adjacency import Rows, apart_by_mask, connection
+from panoexec.planning.certificate.adjacency import Rows, connection, separated_by_mask
 from panoexec.planning.geometry.domain import Domain
 from panoexec.planning.model import AngleBox, Band
 from tests.unit.planning.brute import full_circle
@@ -57,13 +57,13 @@ def test_a_long_chain_needs_no_recursion() -> None:
 
 
 @pytest.mark.parametrize(("count", "connected", "twice"), [(1, True, True), (2, True, False), (3, True, False)])
-def test_small_plans_by_the_letter(count: int, connected: bool, twice: bool) -> None:
+def test_connectivity_of_small_plans(count: int, connected: bool, twice: bool) -> None:
     """One image has nothing to lose; two hang on one edge; a chain of three hangs on two."""
     chain = connection(count, np.arange(count - 1), np.arange(1, count))
     assert (chain.connected, chain.two_edge_connected) == (connected, twice)
 
 
-def test_three_images_that_all_overlap_hold() -> None:
+def test_three_mutually_overlapping_images_are_two_edge_connected() -> None:
     assert connection(3, np.array([0, 1, 0]), np.array([1, 2, 2])).two_edge_connected
 
 
@@ -104,7 +104,7 @@ def test_partners_are_of_the_next_row_number_that_occurs() -> None:
     assert listed(-1) == {1: {0}, 2: {0}, 3: {1, 2}}
 
 
-def test_an_image_that_meets_nobody_of_the_next_row_is_still_listed() -> None:
+def test_image_without_overlap_in_the_next_row_is_still_listed() -> None:
     rows = Rows.of([0, 1], rotation(np.zeros(2), np.zeros(2)), full_circle(-10.0, 10.0))
     nobody = np.empty(0, dtype=np.intp)
     images, _, present = rows.partners(nobody, nobody, 1)
@@ -115,8 +115,10 @@ def test_an_image_that_meets_nobody_of_the_next_row_is_still_listed() -> None:
 @pytest.mark.parametrize(
     ("from_deg", "to_deg", "apart"), [(30.0, 50.0, True), (25.0, 50.0, False), (30.0, 62.0, False), (-10.0, 0.0, False)]
 )
-def test_a_mask_parts_images_only_where_it_hides_all_between(from_deg: float, to_deg: float, apart: bool) -> None:
+def test_mask_separates_images_only_if_it_covers_everything_between(
+    from_deg: float, to_deg: float, apart: bool
+) -> None:
     mask = AngleBox(elevation_min_deg=-20.0, elevation_max_deg=0.0, azimuth_min_deg=28.0, azimuth_max_deg=60.0)
     domain = Domain.of(full_circle(-90.0, 30.0), (mask,))
-    assert apart_by_mask(domain, -10.0, from_deg, to_deg) == apart
-    assert not apart_by_mask(domain, 10.0, from_deg, to_deg)
+    assert separated_by_mask(domain, -10.0, from_deg, to_deg) == apart
+    assert not separated_by_mask(domain, 10.0, from_deg, to_deg)

@@ -1,4 +1,4 @@
-"""The proof of coverage: it never lets a hole through, however small, and finds none where there is none."""
+"""The proof of coverage: it detects every hole of any size, and reports none in a true cover."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def test_a_domain_inside_one_image_or_out_of_sight_of_all() -> None:
     assert not covered(SCENARIO_2, np.empty((0, 3, 3)), inside)
 
 
-def test_a_part_of_the_domain_that_masks_cut_off_is_not_forgotten() -> None:
+def test_component_of_the_domain_isolated_by_masks_is_tested() -> None:
     """Two islands, only one of them in an image; no border of the image crosses the domain."""
     camera = Camera.from_fov(40.0, 40.0)
     band = Band(elevation_min_deg=-5.0, elevation_max_deg=5.0, azimuth_min_deg=-5.0, azimuth_max_deg=65.0)
@@ -155,7 +155,7 @@ def test_a_pole_is_covered_once_an_image_holds_it(pole: float) -> None:
     spoil=st.floats(0.0, 2.0),
     seed=st.integers(0, 2**31),
 )
-def test_what_is_proven_shows_no_hole(
+def test_proven_coverage_has_no_hole_in_dense_sampling(
     hfov: float,
     ratio: float,
     overlap: float,

@@ -1,4 +1,4 @@
-"""Holes: where they are, how large, and that what closes their outline closes them."""
+"""Holes: location, size, and outline."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Robust cores: never larger than what is surely seen, hardly smaller, for any attitude and tolerance."""
+"""Robust cores: inside the exact core, and close to it, for any attitude and tolerance."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_cores_are_seen_whatever_the_error(
 
 @pytest.mark.parametrize("pitch", [-90.0, -60.0, -20.0, 5.0, 80.0])
 @pytest.mark.parametrize("tolerance", [PAPER, Tolerance(pitch_deg=1.0, roll_deg=0.5, yaw_deg=2.0)])
-def test_cores_lose_next_to_nothing(pitch: float, tolerance: Tolerance) -> None:
+def test_cores_lose_at_most_a_hundredth_of_a_degree(pitch: float, tolerance: Tolerance) -> None:
     """What is surely seen by a hundredth of a degree is in the core."""
     rng = np.random.default_rng(4)
     attitude = rotation(30.0, pitch)
@@ -86,7 +86,7 @@ def test_yaw_error_turns_the_image_at_the_nadir_and_moves_it_at_the_horizon() ->
     assert side == pytest.approx(np.sin(np.radians(21.76 / 2 - 2.0)), rel=1e-4)
 
 
-def test_a_tolerance_that_eats_the_image_leaves_nothing() -> None:
+def test_tolerance_larger_than_the_image_gives_an_empty_core() -> None:
     tolerance = Tolerance(pitch_deg=9.0, roll_deg=0.0, yaw_deg=0.0)
     cores = robust_cores(SCENARIO_2, rotation([0.0, 90.0], [0.0, -90.0]), tolerance)
     assert cores.empty.all()
@@ -101,7 +101,7 @@ def test_depth_is_that_of_the_best_core() -> None:
     assert depth[2] < 0
 
 
-def test_equal_attitudes_share_their_core_turned() -> None:
+def test_equal_attitudes_share_a_rotated_core() -> None:
     turned = rotation([10.0, 100.0], [-40.0, -40.0])
     first, second = robust_cores(SCENARIO_2, turned, PAPER).vertices
     assert np.allclose(second, first @ rotation(90.0, 0.0).T, atol=1e-12)

@@ -1,4 +1,4 @@
-"""The certificate as a whole: C1 to C4, their thresholds, what it says when one fails, and the published plans."""
+"""The whole certificate: C1 to C4, thresholds, failure messages, and the published plans."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from panoexec.optics import Camera
 from panoexec.planning.baselines.published import PUBLISHED, published_plan
 from panoexec.planning.certificate.adjacency import connection
 from panoexec.planning.certificate.verdict import certify, certify_poses
-from panoexec.planning.certificate.worst_overlap import ErrorCorners, surely_overlap, worst_pair_overlaps
+from panoexec.planning.certificate.worst_overlap import ErrorCorners, overlaps_at_least, worst_pair_overlaps
 from panoexec.planning.geometry.overlap import pairwise_overlap
 from panoexec.planning.model import (
     NO_TOLERANCE,
@@ -125,17 +125,17 @@ def test_a_single_image_is_a_panorama() -> None:
     assert (certificate.weakest_h, certificate.weakest_v) == (None, None)
 
 
-def test_two_images_hang_on_one_edge() -> None:
+def test_two_images_depend_on_one_edge() -> None:
     band = Band(elevation_min_deg=-5.0, elevation_max_deg=5.0, azimuth_min_deg=-15.0, azimuth_max_deg=15.0)
     certificate = certify_poses(SCENARIO_2, demand(band), rotation([-8.0, 8.0], [0.0, 0.0]), [0, 0])
     assert certificate.connected
     assert not certificate.two_edge_connected
     assert not certificate.certified
     assert certificate.bridges == ((0, 1),)
-    assert certificate.failures == ("C4: only the pair of images 0 and 1 holds two parts together",)
+    assert certificate.failures == ("C4: the graph depends on a single edge (bridge): images 0 and 1",)
 
 
-def test_a_chain_holds_once_every_second_image_overlaps_too() -> None:
+def test_chain_is_certified_if_images_two_apart_overlap_too() -> None:
     band = Band(elevation_min_deg=-5.0, elevation_max_deg=5.0, azimuth_min_deg=-20.0, azimuth_max_deg=20.0)
     loose = np.arange(-14.0, 15.0, 14.0)
     tight = np.arange(-15.0, 15.1, 10.0)
@@ -192,7 +192,7 @@ def test_the_closing_pair_of_a_full_circle_counts_and_that_of_a_sector_does_not(
     assert cut_open.min_overlap_h == pytest.approx(0.266, abs=1e-3)
 
 
-def test_rows_look_down_as_well_as_up() -> None:
+def test_c3_includes_the_row_below_and_above() -> None:
     """The last image of the upper row meets nobody below; all those below are well covered from above."""
     attitudes = rotation([-14.0, 0.0, 14.0, -14.0, 0.0, 14.0, 28.0], [-6.0] * 3 + [6.0] * 4)
     band = Band(elevation_min_deg=-8.0, elevation_max_deg=8.0, azimuth_min_deg=-18.0, azimuth_max_deg=18.0)
@@ -203,14 +203,14 @@ def test_rows_look_down_as_well_as_up() -> None:
     assert certify_poses(SCENARIO_2, demand(band), attitudes[:6], [0] * 3 + [1] * 3).certified
 
 
-def test_the_graph_counts_what_only_the_close_bound_can_see() -> None:
+def test_graph_includes_edges_that_only_the_tight_bound_proves() -> None:
     """Outer images of three share little more than 5 % in the worst case: too little for the rough bound to tell."""
     band = Band(elevation_min_deg=-5.0, elevation_max_deg=5.0, azimuth_min_deg=-12.0, azimuth_max_deg=12.0)
     first, second = np.array([0, 2]), np.array([2, 0])
     for half, held in ((9.4, True), (9.8, False)):
         row = rotation([-half, 0.0, half], [0.0] * 3)
         corners = ErrorCorners.of(SCENARIO_2, row, PAPER)
-        assert not surely_overlap(corners, first, second, 0.05).any()
+        assert not overlaps_at_least(corners, first, second, 0.05).any()
         assert (worst_pair_overlaps(corners, first, second).min() >= 0.05) is np.bool_(held)
         certificate = certify_poses(SCENARIO_2, demand(band, tolerance=PAPER), row, [0] * 3)
         assert certificate.connected
@@ -218,7 +218,7 @@ def test_the_graph_counts_what_only_the_close_bound_can_see() -> None:
         assert certificate.bridges == (() if held else ((0, 1), (1, 2)))
 
 
-def test_a_mask_excuses_the_pair_across_it_and_nothing_else() -> None:
+def test_mask_exempts_only_the_pair_across_it_from_c2() -> None:
     yaws = np.arange(20.0, 341.0, 16.0)
     row, rows = rotation(yaws, np.zeros(len(yaws))), [0] * len(yaws)
     gear = AngleBox(elevation_min_deg=-90.0, elevation_max_deg=90.0, azimuth_min_deg=-12.0, azimuth_max_deg=12.0)
@@ -252,7 +252,7 @@ def test_measured_attitudes_are_judged_as_they_are() -> None:
         assert (certify_poses(camera, constraints, measured, rows).uncovered_fraction == 0.0) is proven
 
 
-def test_the_short_answer_agrees_with_the_long_one() -> None:
+def test_result_without_explanation_agrees_with_the_full_one() -> None:
     attitudes, rows = even_rows([(-45.0, 10), (-10.0, 12)])
     for top, proven in ((5.0, True), (40.0, False)):
         constraints = demand(full_circle(-60.0, top))
@@ -281,7 +281,7 @@ def test_rows_must_be_given_for_all_images() -> None:
     span=st.one_of(st.just(360.0), st.floats(60.0, 359.0)),
     seed=st.integers(0, 2**31),
 )
-def test_certified_plans_keep_their_promise(
+def test_certified_plans_pass_random_pointing_errors(
     hfov: float, overlap: float, top: float, tolerance: Tolerance, guarantee: Guarantee, span: float, seed: int
 ) -> None:
     """Whatever the errors: no hole, the graph holds, and with `all` the overlaps do too."""

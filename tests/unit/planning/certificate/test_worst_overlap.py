@@ -1,4 +1,4 @@
-"""Worst-case overlaps: below what any errors make, and not far below."""
+"""Worst-case overlaps: valid and tight lower bounds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from panoexec.angles import rotation, yaw_pitch_roll
 from panoexec.optics import Camera
 from panoexec.planning.certificate.worst_overlap import (
     ErrorCorners,
-    surely_overlap,
+    overlaps_at_least,
     worst_pair_overlaps,
     worst_union_overlaps,
 )
@@ -52,7 +52,7 @@ def taken(attitudes: Array, tolerance: Tolerance, count: int, seed: int) -> Arra
     tolerance=_TOLERANCES,
     seed=st.integers(0, 2**31),
 )
-def test_no_errors_make_a_pair_overlap_less(
+def test_no_errors_reduce_a_pair_below_its_bound(
     hfov: float, ratio: float, pitch: float, up: float, aside: float, roll: float, tolerance: Tolerance, seed: int
 ) -> None:
     camera = Camera.from_fov(hfov, min(hfov * ratio, 110.0))
@@ -63,7 +63,7 @@ def test_no_errors_make_a_pair_overlap_less(
     errors = taken(pair, tolerance, 400, seed)
     assert bound <= pairwise_overlap(camera, errors[:, 0], errors[:, 1]).min() + 1e-12
     for least in (bound + 1e-9, 0.05):
-        if surely_overlap(corners, ONE, OTHER, least)[0]:
+        if overlaps_at_least(corners, ONE, OTHER, least)[0]:
             assert bound >= least - 1e-12, "the rough bound promises more than the close one"
 
 
@@ -95,7 +95,7 @@ def test_the_bound_of_a_pair_is_close(pitch: float, camera: Camera, tolerance: T
     tolerance=st.one_of(st.just(PAPER), _TOLERANCES),
     seed=st.integers(0, 2**31),
 )
-def test_no_errors_make_a_row_cover_less(
+def test_no_errors_reduce_a_row_below_its_bound(
     hfov: float, pitch: float, up: float, below: bool, spacing: float, tolerance: Tolerance, seed: int
 ) -> None:
     camera = Camera.from_fov(hfov, hfov * 0.75)
@@ -159,7 +159,7 @@ def test_without_tolerance_the_bounds_are_the_overlaps() -> None:
     assert union <= expected + 1e-12
 
 
-def test_padding_adds_nothing() -> None:
+def test_padding_does_not_change_the_bound() -> None:
     attitudes = rotation([0.0, 5.0, -5.0], [-40.0, -52.0, -52.0])
     corners = ErrorCorners.of(SCENARIO_2, attitudes, PAPER)
     alone = worst_union_overlaps(corners, ONE, np.array([[1]]), np.array([[True]]))
@@ -171,4 +171,4 @@ def test_padding_adds_nothing() -> None:
 def test_images_that_do_not_meet_share_nothing() -> None:
     corners = ErrorCorners.of(SCENARIO_2, rotation([0.0, 90.0], [0.0, 0.0]), PAPER)
     assert worst_pair_overlaps(corners, ONE, OTHER) == [0.0]
-    assert not surely_overlap(corners, ONE, OTHER, 1e-6)[0]
+    assert not overlaps_at_least(corners, ONE, OTHER, 1e-6)[0]

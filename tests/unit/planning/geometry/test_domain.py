@@ -1,4 +1,4 @@
-"""Bands, sectors and masks: which directions belong, where arcs leave, and what bounds them."""
+"""Bands, sectors and masks: membership, arcs that leave the domain, borders."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_a_box_over_a_pole_and_one_beside_it() -> None:
         ),
     ],
 )
-def test_what_has_no_extent_is_refused(band: Band, words: tuple[str, ...]) -> None:
+def test_empty_bands_are_rejected(band: Band, words: tuple[str, ...]) -> None:
     with pytest.raises(PlanningError) as caught:
         Domain.of(band)
     assert all(word in str(caught.value) for word in words)

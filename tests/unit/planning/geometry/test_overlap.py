@@ -192,7 +192,7 @@ class TestUnion:
         assert union_area([]) == 0.0
 
 
-def test_what_is_taken_out_and_what_is_left_make_the_whole() -> None:
+def test_difference_and_subtracted_part_add_up_to_the_whole() -> None:
     rng = np.random.default_rng(8)
     camera = Camera.from_fov(60, 45)
     whole = 4 * camera.half_width * camera.half_height

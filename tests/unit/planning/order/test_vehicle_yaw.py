@@ -1,4 +1,4 @@
-"""Headings of the vehicle: every shot is reached from its own, and there are as few as there can be."""
+"""Headings of the vehicle: every shot is reachable, with as few headings as possible."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from panoexec.planning.baselines.grid import check_reachable
 from panoexec.planning.model import GimbalLimits, Shot, Timing, Turning
 from panoexec.planning.order.duration import estimate, slew_time_s, turn_times_s
 from panoexec.planning.order.shot_order import order_shots
-from panoexec.planning.order.vehicle_yaw import PanReach, heading_for, headings_deg, stations
+from panoexec.planning.order.vehicle_yaw import PanReach, heading_for, heading_groups, headings_deg
 
 TURNING = Turning()
 TWO_AXES = GimbalLimits(yaw_min_deg=0.0, yaw_max_deg=0.0, yaw_endless=False, turning=TURNING)
@@ -45,12 +45,12 @@ def test_the_reach_is_the_pan_range_less_its_margins() -> None:
     assert PanReach.of(GimbalLimits()).half_deg == 180.0
 
 
-def test_two_axes_look_where_the_nose_points() -> None:
+def test_two_axis_gimbal_points_along_the_nose() -> None:
     assert heading_for([30.0, 60.0], 0.0, PanReach.of(TWO_AXES)) == pytest.approx(30.0)
     assert headings_deg([30.0, 30.0, -170.0, 170.0], TWO_AXES) == pytest.approx([30.0, 30.0, -170.0, 170.0])
 
 
-def test_within_reach_the_vehicle_stays_and_beyond_it_turns_as_far_as_the_next_shots_like() -> None:
+def test_vehicle_turns_only_beyond_reach_and_to_the_heading_for_most_next_shots() -> None:
     reach = PanReach.of(LITTLE)
     assert heading_for([25.0, 200.0], 0.0, reach) == 0.0
     # 60° is 30° out of reach; from 90° on the next two are within it too, and 120° is not to be had with 60°
@@ -74,8 +74,8 @@ def test_every_shot_is_reached_from_the_heading_found_for_it(
 
 @settings(max_examples=60)
 @given(yaws=st.lists(st.integers(-18, 17).map(lambda k: 10.0 * k), min_size=1, max_size=7), half=HALVES)
-def test_stations_hold_each_shot_once_and_no_division_has_fewer(yaws: list[float], half: float) -> None:
-    groups = stations(yaws, PanReach(centre_deg=0.0, half_deg=half))
+def test_heading_groups_contain_each_shot_once_and_are_minimal(yaws: list[float], half: float) -> None:
+    groups = heading_groups(yaws, PanReach(centre_deg=0.0, half_deg=half))
     assert sorted(int(i) for group in groups for i in group) == list(range(len(yaws)))
     for group in groups:
         assert (yaws[group[-1]] - yaws[group[0]]) % 360.0 <= 2 * half + 0.011
@@ -102,13 +102,13 @@ def test_the_fastest_order_makes_the_fewest_turns_and_goes_once_round(limits: Gi
     found = turns(ordered, limits)
     others = [turns(order_shots(shots, limits, Timing(), order=o), limits) for o in ("rows", "columns", "nadir-first")]
     assert found <= min(others)
-    distinct = len(stations([s.yaw_deg for s in shots], PanReach.of(limits)))
+    distinct = len(heading_groups([s.yaw_deg for s in shots], PanReach.of(limits)))
     assert found == distinct - 1 <= fewest
     headings = headings_deg([s.yaw_deg for s in ordered], limits)
     assert float(np.abs(wrap_180(np.diff(headings))).sum()) <= 360.0
 
 
-def test_a_turn_costs_what_the_vehicle_needs_and_no_turn_costs_nothing() -> None:
+def test_time_of_a_turn_and_of_no_turn() -> None:
     # 90° at 45°/s with 90°/s²: 2 s and half a second of ramps, and it comes to rest
     assert float(turn_times_s(TURNING, 90.0)) == pytest.approx(2.5 + TURNING.settle_s)
     slew = {"from_pitch_deg": 0.0, "to_pitch_deg": 0.0}

@@ -51,7 +51,7 @@ def read_xmp(path: Path) -> dict[str, str]:
     return dict(description.attrib)
 
 
-def test_exif_says_when_with_what_and_where(tmp_path: Path) -> None:
+def test_exif_contains_time_camera_and_position(tmp_path: Path) -> None:
     path = tmp_path / "a.jpg"
     assert write_jpeg(path, IMAGE, metadata()) == path.stat().st_size
     exif, details, gps = read_exif(path)
@@ -72,7 +72,7 @@ def test_exif_says_when_with_what_and_where(tmp_path: Path) -> None:
     assert gps[g.GPSImgDirectionRef] == "T"
 
 
-def test_xmp_says_how_it_was_pointed(tmp_path: Path) -> None:
+def test_xmp_contains_the_attitude(tmp_path: Path) -> None:
     path = tmp_path / "a.jpg"
     write_jpeg(path, IMAGE, metadata())
     found = read_xmp(path)

@@ -61,7 +61,7 @@ def test_sky_is_brighter_and_bluer_than_ground_and_the_horizon_is_the_middle() -
 
 
 @pytest.mark.parametrize("width", [0, 63, 65, 20000])
-def test_impossible_sizes_are_refused(width: int) -> None:
+def test_invalid_sizes_are_rejected(width: int) -> None:
     with pytest.raises(ValueError, match="width_px"):
         procedural_scene(1, width)
 

@@ -1,4 +1,4 @@
-"""The vehicle under the gimbal."""
+"""The physics of the vehicle."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_rates_are_the_derivatives_of_the_angles() -> None:
             assert change / 1e-3 == pytest.approx(getattr(before, f"{axis}_rate_deg_s"), abs=0.02)
 
 
-def test_it_holds_the_place_that_the_gps_tells_and_truly_wanders_with_its_error() -> None:
+def test_it_holds_the_gps_position_and_drifts_with_the_gps_error() -> None:
     airframe = Airframe(CALM, seed=2)
     reported, true = [], []
     for _ in range(2000):

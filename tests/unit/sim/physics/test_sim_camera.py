@@ -1,4 +1,4 @@
-"""The camera: when the shutter opens, what it refuses, what it counts."""
+"""The camera model: shutter timing, rejected commands, counts."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 
 from panoexec.sim.config import CameraConfig
-from panoexec.sim.physics.camera import CameraModel, Exposure, Look, Refusal
+from panoexec.sim.physics.camera import CameraModel, Exposure, GimbalState, Refusal
 from panoexec.sim.physics.gimbal import Angles
 from panoexec.sim.physics.world import Timeline
 
@@ -22,12 +22,12 @@ class Bench:
         self.exposures: list[Exposure] = []
         self.camera = CameraModel(config, self.timeline, look=self._look, on_exposed=self.exposures.append)
 
-    def _look(self) -> Look:
+    def _look(self) -> GimbalState:
         now = Angles(self.timeline.now_s, 0.0, 0.0)
-        return Look(truth=now, estimate=now, measured=now)
+        return GimbalState(truth=now, estimate=now, measured=now)
 
 
-def test_it_opens_after_its_latency_for_the_exposure_and_looks_all_the_while() -> None:
+def test_shutter_opens_after_the_latency_and_samples_attitudes_during_the_exposure() -> None:
     bench = Bench()
     bench.timeline.run_until(2.0)
     assert bench.camera.shoot() is None
@@ -43,7 +43,7 @@ def test_it_opens_after_its_latency_for_the_exposure_and_looks_all_the_while() -
     assert not bench.camera.is_busy
 
 
-def test_it_refuses_within_its_interval_and_says_how_long() -> None:
+def test_it_rejects_commands_within_its_interval_and_reports_the_wait() -> None:
     bench = Bench()
     assert bench.camera.shoot() is None
     assert bench.camera.shoot() is Refusal.BUSY
@@ -56,12 +56,12 @@ def test_it_refuses_within_its_interval_and_says_how_long() -> None:
     assert [exposure.index for exposure in bench.exposures] == [7, 8]
 
 
-def test_on_a_clock_of_a_coarse_grain_a_little_too_early_is_in_time() -> None:
+def test_slightly_early_command_is_accepted_with_a_coarse_clock() -> None:
     timeline = Timeline()
     now = Angles(0.0, 0.0, 0.0)
     camera = CameraModel(
-        CONFIG, timeline, look=lambda: Look(truth=now, estimate=now, measured=now), on_exposed=lambda _: None,
-        grain_s=0.05,
+        CONFIG, timeline, look=lambda: GimbalState(truth=now, estimate=now, measured=now), on_exposed=lambda _: None,
+        time_resolution_s=0.05,
     )  # fmt: skip
     assert camera.shoot() is None
     timeline.run_until(0.9)
@@ -70,7 +70,7 @@ def test_on_a_clock_of_a_coarse_grain_a_little_too_early_is_in_time() -> None:
     assert camera.shoot() is None
 
 
-def test_its_card_fills_and_then_it_refuses() -> None:
+def test_full_card_rejects_photos() -> None:
     bench = Bench()
     for number in range(3):
         assert bench.camera.available_mib == 30.0 - 10.0 * number

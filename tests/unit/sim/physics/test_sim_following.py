@@ -1,4 +1,4 @@
-"""A payload's time that follows an autopilot's, and the wind that shakes it there."""
+"""Time of an attached payload, and the effect of wind on it."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from panoexec.sim.physics.world import SimClock, TruthLog
 from panoexec.sim.simulation import Simulation
 
 
-def test_time_passes_as_the_autopilot_tells() -> None:
+def test_time_follows_the_autopilots_stamps() -> None:
     time = AutopilotTime()
     assert time.at(12_000_000, 3.0) == 3.0
     assert time.at(12_020_000, 9.9) == pytest.approx(3.02)
     assert time.at(12_040_000, 0.0) == pytest.approx(3.04)
 
 
-def test_thirty_two_bits_may_overflow() -> None:
+def test_32_bit_stamp_overflow() -> None:
     time = AutopilotTime()
     time.at(2**32 - 10_000, 100.0)
     assert time.at(10_000, 100.0) == pytest.approx(100.02)
 
 
-def test_a_restart_or_a_silence_begins_anew() -> None:
+def test_reboot_or_silence_resets_the_offset() -> None:
     time = AutopilotTime()
     time.at(500_000_000, 100.0)
     assert time.at(1_000_000, 107.0) == 107.0  # it restarted
@@ -63,7 +63,7 @@ def shaking_deg(wind_m_s: float, gimbal: GimbalConfig | None = None) -> float:
     return statistics.pstdev(pitches)
 
 
-def test_wind_shakes_a_payload_that_is_joined_to_a_real_autopilot_as_strongly_as_it_is_told_to() -> None:
+def test_wind_shakes_an_attached_payload_as_configured() -> None:
     calm, windy = shaking_deg(0.0), shaking_deg(8.0)
     assert calm < 1e-6
     assert windy > 0.005

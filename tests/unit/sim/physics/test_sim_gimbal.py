@@ -1,4 +1,4 @@
-"""The gimbal's mechanics: how it moves, where it stops, what it measures, what nobody sees."""
+"""The gimbal's mechanics: motion, end stops, measurements, hidden errors."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_no_move_exceeds_the_rate_by_more_than_the_overshoot_or_the_acceleration
     assert axis.acceleration_deg_s2 * 0.99 < max(accelerations) < axis.acceleration_deg_s2 * 1.25
 
 
-def test_commands_beyond_the_limits_are_cut_and_the_stops_hold() -> None:
+def test_commands_beyond_the_limits_are_clipped_and_the_stops_hold() -> None:
     config = dataclasses.replace(CALM, pitch=dataclasses.replace(PITCH, min_deg=-60.0, max_deg=20.0))
     physics = gimbal(config)
     physics.command(Target(pitch_deg=80.0))
@@ -114,7 +114,7 @@ def test_unlocked_it_follows_the_nose_and_locked_it_does_not() -> None:
     assert physics.nose_deg == pytest.approx(-100.0)
 
 
-def test_it_turns_at_the_rates_it_is_told() -> None:
+def test_it_rotates_at_commanded_rates() -> None:
     physics = gimbal()
     physics.command(Target(yaw_lock=True, rates=Rates(20.0, 0.0, -10.0)))
     start, end = run(physics, 1.0)[-1], run(physics, 2.0)[-1]

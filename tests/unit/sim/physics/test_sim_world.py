@@ -1,4 +1,4 @@
-"""Simulated time, order of events, drift, records."""
+"""Simulated time, event order, drift, ground-truth log."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_simulated_time_runs_by_the_speedup() -> None:
 
 
 @pytest.mark.parametrize("speedup", [0.0, -1.0, math.inf, math.nan])
-def test_a_speedup_that_is_none_is_refused(speedup: float) -> None:
+def test_invalid_speedup_is_rejected(speedup: float) -> None:
     with pytest.raises(ValueError, match="speedup"):
         SimClock(speedup)
 
@@ -82,12 +82,12 @@ def test_coloured_noise_has_unit_deviation_and_its_corner() -> None:
     assert correlation == pytest.approx(math.exp(-1), abs=0.05)
 
 
-def test_each_purpose_has_numbers_of_its_own() -> None:
+def test_each_purpose_has_its_own_random_numbers() -> None:
     assert seeded(1, "a").random() == seeded(1, "a").random()
     assert len({seeded(1, "a").random(), seeded(1, "b").random(), seeded(2, "a").random()}) == 3
 
 
-def test_the_truth_is_one_json_object_a_line(tmp_path: Path) -> None:
+def test_ground_truth_is_one_json_object_per_line(tmp_path: Path) -> None:
     log = TruthLog(tmp_path / "truth.jsonl")
     log.write("start", 0.0, {"seed": 1})
     log.write("exposure", 1.23456, {"file": "IMG_00001.jpg"})
