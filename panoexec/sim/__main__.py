@@ -22,7 +22,7 @@ from panoexec.sim.options import add_arguments, config_of
 
 def main(argv: list[str]) -> int:
     """Run the simulation; an exit code of docs/contract.md."""
-    tied = argv[:1] == ["--config-from-stdin"]
+    stdin_bound = argv[:1] == ["--config-from-stdin"]
     try:
         config = settings.from_json(json.loads(_first_line())) if stdin_bound else _from_options(argv)
         return _run(config, stdin_bound=stdin_bound, paced=argv[1:] == ["--leashed"])

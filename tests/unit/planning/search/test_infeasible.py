@@ -9,7 +9,7 @@ import pytest
 from panoexec.optics import Camera
 from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Tolerance
 from panoexec.planning.search import infeasible
-from panoexec.planning.search.infeasible import nothing_to_cover, refusal, tolerance_eats_image, too_dense
+from panoexec.planning.search.infeasible import empty_cores, excessive_overlap, infeasibility_error, nothing_to_cover
 from panoexec.planning.search.planner import plan_certified
 
 WIDE = Camera.from_fov(60.0, 47.0)
@@ -85,45 +85,45 @@ class TestNothingToCover:
 class TestTooDense:
     @pytest.mark.parametrize(("band", "overlap", "least"), [((-30.0, 30.0), 0.999, 0.99), ((50.0, 60.0), 0.9995, 0.99)])
     def test_more_images_in_a_row_than_anybody_takes(self, band: Range, overlap: float, least: float) -> None:
-        text = too_dense(WIDE, asked(*band, overlap=(overlap, 0.0)))
+        text = excessive_overlap(WIDE, asked(*band, overlap=(overlap, 0.0)))
         assert text == f"horizontal overlap {overlap:g} takes more than 5000 images in one row: ask for less overlap"
-        assert too_dense(WIDE, asked(*band, overlap=(least, 0.0))) is None
+        assert excessive_overlap(WIDE, asked(*band, overlap=(least, 0.0))) is None
 
     def test_each_direction_in_more_images_than_anybody_takes(self) -> None:
-        text = too_dense(WIDE, asked(-90, 90, overlap=(0.95, 0.96)))
+        text = excessive_overlap(WIDE, asked(-90, 90, overlap=(0.95, 0.96)))
         assert text is not None
         assert "overlaps of 0.95 in rows and 0.96 between them" in text
         assert figures(r"in about (\d+) images, (\d+) more", text) == [500, 400]
-        assert too_dense(WIDE, asked(-90, 90, overlap=(0.9, 0.9))) is None
-        assert too_dense(WIDE, asked(-90, 90, overlap=(0.9, 0.901))) is not None
+        assert excessive_overlap(WIDE, asked(-90, 90, overlap=(0.9, 0.9))) is None
+        assert excessive_overlap(WIDE, asked(-90, 90, overlap=(0.9, 0.901))) is not None
 
     def test_more_rows_than_anybody_takes(self) -> None:
         narrow = Camera.from_fov(1.5, 1.0)
-        text = too_dense(narrow, asked(-60, 60, overlap=(0.0, 0.99)))
+        text = excessive_overlap(narrow, asked(-60, 60, overlap=(0.0, 0.99)))
         assert text == "vertical overlap 0.99 takes more than 5000 rows: ask for less overlap"
         # 0.01 degrees each
-        assert too_dense(narrow, asked(-60, -11, overlap=(0.0, 0.99))) is None
-        assert too_dense(narrow, asked(-60, -9, overlap=(0.0, 0.99))) == text
-        assert too_dense(narrow, asked(-60, 60, overlap=(0.0, 0.97))) is None
+        assert excessive_overlap(narrow, asked(-60, -11, overlap=(0.0, 0.99))) is None
+        assert excessive_overlap(narrow, asked(-60, -9, overlap=(0.0, 0.99))) == text
+        assert excessive_overlap(narrow, asked(-60, 60, overlap=(0.0, 0.97))) is None
 
 
 class TestTolerance:
     def test_tolerances_that_leave_nothing_of_an_image(self) -> None:
         narrow = Camera.from_fov(8.0, 3.0)
-        text = tolerance_eats_image(narrow, asked(-60, 0, tolerance=(2.0, 1.0, 0.5)))
+        text = empty_cores(narrow, asked(-60, 0, tolerance=(2.0, 1.0, 0.5)))
         assert text is not None
         assert "2° (pitch), 1° (roll) and 0.5° (yaw)" in text
         assert "an image of 8° x 3°" in text
         assert figures(r"pitch must stay below ([\d.]+)°, roll and yaw well below ([\d.]+)°", text) == [1.5, 4.0]
-        assert tolerance_eats_image(narrow, asked(-60, 0, tolerance=(1.4, 0.0, 0.0))) is None
-        assert tolerance_eats_image(narrow, asked(-60, 0, tolerance=(1.6, 0.0, 0.0))) is not None
-        assert tolerance_eats_image(narrow, asked(-60, 0)) is None
-        assert str(refusal(narrow, asked(-60, 0, tolerance=(2.0, 1.0, 0.5)))) == text
+        assert empty_cores(narrow, asked(-60, 0, tolerance=(1.4, 0.0, 0.0))) is None
+        assert empty_cores(narrow, asked(-60, 0, tolerance=(1.6, 0.0, 0.0))) is not None
+        assert empty_cores(narrow, asked(-60, 0)) is None
+        assert str(infeasibility_error(narrow, asked(-60, 0, tolerance=(2.0, 1.0, 0.5)))) == text
 
     def test_tolerances_with_which_no_rows_close(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(infeasible, "_BISECTIONS", 3)
         tau = 30.0
-        text = str(refusal(VERY_WIDE, asked(-5, 5, overlap=(0.0, 0.0), tolerance=(tau, 0.0, 0.0))))
+        text = str(infeasibility_error(VERY_WIDE, asked(-5, 5, overlap=(0.0, 0.0), tolerance=(tau, 0.0, 0.0))))
         assert "30° (pitch), 0° (roll) and 0° (yaw)" in text
         assert "100° x 80°" in text
         (share,) = figures(r"about (\d+)% of these tolerances would do", text)
@@ -138,26 +138,28 @@ class TestGimbal:
         top, reach, short = figures(
             r"elevation (\d+)° cannot be covered: with the gimbal's highest pitch 20° "
             r"images reach up to ([\d.]+)° all round, ([\d.]+)° short",
-            str(refusal(WIDE, asked(-30, 50, gimbal=gimbal))),
+            str(infeasibility_error(WIDE, asked(-30, 50, gimbal=gimbal))),
         )
         assert top == 50
         assert reach + short == pytest.approx(top, abs=0.011)
         assert is_planned(WIDE, asked(-30, reach - 0.1, gimbal=gimbal))
-        assert figures(r"up to ([\d.]+)°", str(refusal(WIDE, asked(-30, reach + 0.2, gimbal=gimbal)))) == [reach]
+        assert figures(r"up to ([\d.]+)°", str(infeasibility_error(WIDE, asked(-30, reach + 0.2, gimbal=gimbal)))) == [
+            reach
+        ]
 
     def test_a_gimbal_that_cannot_look_so_low(self) -> None:
         gimbal = GimbalLimits(pitch_min_deg=-60.0)
         bottom, reach, short = figures(
             r"elevation (-\d+)° cannot be covered: with the gimbal's lowest pitch -60° "
             r"images reach down to (-[\d.]+)° all round, ([\d.]+)° short",
-            str(refusal(WIDE, asked(-90, -30, gimbal=gimbal))),
+            str(infeasibility_error(WIDE, asked(-90, -30, gimbal=gimbal))),
         )
         assert bottom == -90
         assert reach - short == pytest.approx(bottom, abs=0.011)
         assert is_planned(WIDE, asked(reach + 0.4, -30, gimbal=gimbal))
 
     def test_a_blind_arc_that_neighbours_cannot_bridge(self) -> None:
-        text = str(refusal(WIDE, asked(-30, 20, gimbal=pans(-140, 140))))
+        text = str(infeasibility_error(WIDE, asked(-30, 20, gimbal=pans(-140, 140))))
         blind, percent, widest, more = figures(
             r"pans from -140 to 140°, so neighbours must bridge ([\d.]+)°, but with an overlap of (\d+)% images at "
             r"the horizon may be at most ([\d.]+)° apart \(([\d.]+)° too much\)",
@@ -169,12 +171,12 @@ class TestGimbal:
         assert "yaw: auto" in text
         half = 180 - widest / 2
         assert is_planned(WIDE, asked(-5, 5, gimbal=pans(-half - 0.1, half + 0.1)))
-        assert "bridge" in str(refusal(WIDE, asked(-5, 5, gimbal=pans(-half + 0.5, half - 0.5))))
+        assert "bridge" in str(infeasibility_error(WIDE, asked(-5, 5, gimbal=pans(-half + 0.5, half - 0.5))))
         # what the text asks for
         assert is_planned(WIDE, asked(-30, 20, (-140, 140), gimbal=pans(-140, 140)))
 
     def test_a_sector_outside_the_pan_range(self) -> None:
-        text = str(refusal(WIDE, asked(-30, 20, (110, 250), gimbal=pans(-100, 100))))
+        text = str(infeasibility_error(WIDE, asked(-30, 20, (110, 250), gimbal=pans(-100, 100))))
         assert text == "the gimbal pans from -100 to 100°: none of the azimuths asked for is within it"
         assert is_planned(WIDE, asked(-30, 20, (60, 125), gimbal=pans(-100, 100)))
 
@@ -184,7 +186,7 @@ class TestGimbal:
         if planned:
             assert is_planned(WIDE, constraints)
             return
-        text = str(refusal(WIDE, constraints))
+        text = str(infeasibility_error(WIDE, constraints))
         assert text == (
             "the gimbal pans from -20 to 20°: images of 60° do not reach the ends of the azimuths asked for from there"
         )
@@ -202,7 +204,7 @@ class TestOverlap:
             band = (-5.0, 5.0, (-180.0, 180.0)) if name == "horizontal" else (-60.0, 30.0, (-20.0, 20.0))
             return asked(*band, overlap=both, tolerance=(8.0, 0.0, 0.0), sure=True)
 
-        text = str(refusal(VERY_WIDE, constraints(0.8)))
+        text = str(infeasibility_error(VERY_WIDE, constraints(0.8)))
         value, most, less = figures(
             rf"a {name} overlap of ([\d.]+) whatever the pointing errors cannot be had with these tolerances: "
             r"at most about ([\d.]+) can, ([\d.]+) less",
@@ -214,5 +216,7 @@ class TestOverlap:
         assert is_planned(VERY_WIDE, constraints(most - 0.03))
 
     def test_overlaps_that_cannot_both_be_had(self) -> None:
-        text = str(refusal(VERY_WIDE, asked(-60, 30, overlap=(0.8, 0.7), tolerance=(12.0, 0.0, 0.0), sure=True)))
+        text = str(
+            infeasibility_error(VERY_WIDE, asked(-60, 30, overlap=(0.8, 0.7), tolerance=(12.0, 0.0, 0.0), sure=True))
+        )
         assert text == "overlaps of 0.8 and 0.7 whatever the pointing errors cannot both be had"

@@ -16,7 +16,7 @@ from panoexec.planning.geometry.overlap import union_overlap
 from panoexec.planning.model import NO_TOLERANCE, Band, Constraints, GimbalLimits, Tolerance
 from panoexec.planning.search.row_cover import RowCover
 from panoexec.planning.search.row_layout import RowLayout
-from panoexec.planning.search.row_pairs import COARSE, FINE, PHASES, Grain, PairMargin, Pairs
+from panoexec.planning.search.row_pairs import COARSE, FINE, PHASES, PairMargin, Pairs, Resolution
 from tests.unit.planning.brute import full_circle, unseen, with_errors
 
 WIDE = Camera.from_fov(60.0, 47.0)
@@ -90,14 +90,14 @@ class TestShared:
         exact = [least_shared(camera, *poses(layout, rows, phase)) for phase in PHASES]
         for demand in ((0.0, 1.0), (1.0, 0.0), (0.2, 0.3)):
             # a large demand on one row leaves only that one to be looked at
-            found = margin.shared(pairs_of(rows, demand=demand), FINE)[0]
+            found = margin.overlap_margins(pairs_of(rows, demand=demand), FINE)[0]
             wanted = [min(low - demand[0], high - demand[1]) for low, high in exact]
             # about a pole it is found less closely
             assert found == pytest.approx(wanted, abs=0.008 if 1 in (rows[1], rows[3]) else 0.003)
-            assert margin.shared(pairs_of(rows, demand=demand), COARSE)[0] == pytest.approx(wanted, abs=0.04)
+            assert margin.overlap_margins(pairs_of(rows, demand=demand), COARSE)[0] == pytest.approx(wanted, abs=0.04)
 
     def test_turning_equal_rows_against_each_other_matters(self) -> None:
-        found = margin_of(WIDE, layout_of()).shared(pairs_of((-40.0, 7, -5.0, 7), (-40.0, 7, -5.0, 8)), FINE)
+        found = margin_of(WIDE, layout_of()).overlap_margins(pairs_of((-40.0, 7, -5.0, 7), (-40.0, 7, -5.0, 8)), FINE)
         assert np.ptp(found[0]) > 0.006
         assert np.ptp(found[1]) < np.ptp(found[0]) / 5
 
@@ -111,7 +111,7 @@ class TestShared:
         layout = layout_of(band, gimbal)
         low, high = least_shared(WIDE, *poses(layout, rows, 0.0))
         for demand in ((0.0, 1.0), (1.0, 0.0), (0.1, 0.2)):
-            found = margin_of(WIDE, layout).shared(pairs_of(rows, demand=demand), FINE)[0]
+            found = margin_of(WIDE, layout).overlap_margins(pairs_of(rows, demand=demand), FINE)[0]
             wanted = min(low - demand[0], high - demand[1])
             assert len(set(found.tolist())) == 1
             assert found[0] <= wanted + 0.003
@@ -122,7 +122,7 @@ class TestShared:
     def test_single_images_of_a_sector(self, rows: Rows) -> None:
         layout = layout_of(SECTOR)
         exact = min(least_shared(WIDE, *poses(layout, rows, 0.0)))
-        assert margin_of(WIDE, layout).shared(pairs_of(rows), FINE)[0] == pytest.approx([exact] * 3, abs=0.002)
+        assert margin_of(WIDE, layout).overlap_margins(pairs_of(rows), FINE)[0] == pytest.approx([exact] * 3, abs=0.002)
 
 
 class TestClosed:
@@ -137,7 +137,9 @@ class TestClosed:
         margin = margin_of(camera, layout, tolerance)
         low_deg, low_count, high_deg, high_count = rows
         tried = np.clip(np.arange(high_deg - 0.4 * camera.vfov_deg, high_deg + 0.6 * camera.vfov_deg, 0.25), -90, 90)
-        closed = margin.closed(pairs_of(*((low_deg, low_count, h, high_count) for h in tried.tolist())), FINE)[:, phase]
+        closed = margin.coverage_margins(
+            pairs_of(*((low_deg, low_count, h, high_count) for h in tried.tolist())), FINE
+        )[:, phase]
         fits = np.nonzero(closed > 0)[0]
         if not len(fits):
             # the rows have gaps of their own with such tolerances
@@ -156,7 +158,7 @@ class TestClosed:
         gaps = 0
         for high in np.arange(-5.0, 20.0, 1.5).tolist():
             rows = (-40.0, 7, high, 8)
-            closed = margin.closed(pairs_of(rows), FINE)[0]
+            closed = margin.coverage_margins(pairs_of(rows), FINE)[0]
             for phase, value in zip(PHASES, closed.tolist(), strict=True):
                 between = direction(
                     np.repeat(np.linspace(-40.0, high, 150), 720), np.tile(np.linspace(-180, 180, 720), 150)
@@ -173,17 +175,17 @@ class TestClosed:
     def test_a_row_with_gaps_of_its_own_never_closes(self) -> None:
         margin = margin_of(WIDE, layout_of())
         for rows in ((-5.0, 5, 20.0, 12), (-30.0, 12, -5.0, 5), (-5.0, 4, 0.0, 4)):
-            assert margin.closed(pairs_of(rows), FINE)[0].max() == -1.0
+            assert margin.coverage_margins(pairs_of(rows), FINE)[0].max() == -1.0
 
     def test_tolerances_take_from_it(self) -> None:
         pairs = pairs_of((-40.0, 8, -8.0, 9), (-70.0, 5, -40.0, 8))
-        exact, large = (margin_of(WIDE, layout_of(), t).closed(pairs, FINE) for t in (NO_TOLERANCE, LARGE))
+        exact, large = (margin_of(WIDE, layout_of(), t).coverage_margins(pairs, FINE) for t in (NO_TOLERANCE, LARGE))
         assert (large < exact - 0.02).all()
 
     def test_a_sectors_rows_close(self) -> None:
         layout = layout_of(SECTOR)
         margin = margin_of(WIDE, layout)
-        found = margin.closed(pairs_of((-40.0, 4, -5.0, 4), (-40.0, 4, 30.0, 4)), FINE)
+        found = margin.coverage_margins(pairs_of((-40.0, 4, -5.0, 4), (-40.0, 4, 30.0, 4)), FINE)
         assert found[0].min() > 0 > found[1].max()
         azimuths = np.linspace(SECTOR.azimuth_min_deg, SECTOR.azimuth_max_deg, 721)
         between = direction(np.repeat(np.linspace(-40.0, -5.0, 80), 721), np.tile(azimuths, 80))
@@ -212,27 +214,27 @@ class TestMargins:
     ) -> None:
         margin = margin_of(WIDE, layout_of())
         asked = pairs_of(rows, demand=(low, high))
-        shared, closed = margin.shared(asked, FINE), margin.closed(asked, FINE)
+        shared, closed = margin.overlap_margins(asked, FINE), margin.coverage_margins(asked, FINE)
         assert margin.margins(asked, FINE) == pytest.approx(np.minimum(shared, closed))
-        free = margin.shared(pairs_of(rows), FINE)
+        free = margin.overlap_margins(pairs_of(rows), FINE)
         assert (shared <= free - min(low, high) + 1e-9).all()
         assert (shared >= free - max(low, high) - 1e-9).all()
 
     @pytest.mark.parametrize("grain", [COARSE, FINE], ids=["coarse", "fine"])
     @pytest.mark.parametrize("band", [FULL, SECTOR], ids=["full circle", "sector"])
-    def test_each_pair_of_a_batch_is_as_it_is_alone(self, grain: Grain, band: Band) -> None:
+    def test_each_pair_of_a_batch_is_as_it_is_alone(self, grain: Resolution, band: Band) -> None:
         rows = [r for camera, r in CLOSED_ROWS if camera is WIDE and (band is FULL or 1 not in (r[1], r[3]))]
         margin = margin_of(WIDE, layout_of(band))
-        alone = np.array([margin.shared(pairs_of(r), grain)[0] for r in rows])
+        alone = np.array([margin.overlap_margins(pairs_of(r), grain)[0] for r in rows])
         # one row about a pole makes the others of its batch be looked at in more positions
-        assert margin.shared(pairs_of(*rows), grain) == pytest.approx(alone, abs=2e-3)
+        assert margin.overlap_margins(pairs_of(*rows), grain) == pytest.approx(alone, abs=2e-3)
         # and one of close neighbours makes those of the others count too
-        alone = np.array([margin.closed(pairs_of(r), grain)[0] for r in rows])
-        assert (margin.closed(pairs_of(*rows), grain) >= alone - 1e-9).all()
+        alone = np.array([margin.coverage_margins(pairs_of(r), grain)[0] for r in rows])
+        assert (margin.coverage_margins(pairs_of(*rows), grain) >= alone - 1e-9).all()
 
     def test_rows_further_apart_share_less(self) -> None:
         margin = margin_of(WIDE, layout_of())
-        found = margin.shared(pairs_of(*((-40.0, 7, h, 8) for h in np.arange(-30.0, 5.0, 2.5).tolist())), FINE)
+        found = margin.overlap_margins(pairs_of(*((-40.0, 7, h, 8) for h in np.arange(-30.0, 5.0, 2.5).tolist())), FINE)
         assert (np.diff(found, axis=0) < 0).all()
 
 
