@@ -86,21 +86,21 @@ class TestTooDense:
     @pytest.mark.parametrize(("band", "overlap", "least"), [((-30.0, 30.0), 0.999, 0.99), ((50.0, 60.0), 0.9995, 0.99)])
     def test_more_images_in_a_row_than_anybody_takes(self, band: Range, overlap: float, least: float) -> None:
         text = excessive_overlap(WIDE, asked(*band, overlap=(overlap, 0.0)))
-        assert text == f"horizontal overlap {overlap:g} takes more than 5000 images in one row: ask for less overlap"
+        assert text == f"horizontal overlap {overlap:g} needs more than 5000 images in one row: ask for less overlap"
         assert excessive_overlap(WIDE, asked(*band, overlap=(least, 0.0))) is None
 
     def test_each_direction_in_more_images_than_anybody_takes(self) -> None:
         text = excessive_overlap(WIDE, asked(-90, 90, overlap=(0.95, 0.96)))
         assert text is not None
-        assert "overlaps of 0.95 in rows and 0.96 between them" in text
-        assert figures(r"in about (\d+) images, (\d+) more", text) == [500, 400]
+        assert "overlaps of 0.95 in rows and 0.96 between rows" in text
+        assert figures(r"in about (\d+) images, (\d+) above", text) == [500, 400]
         assert excessive_overlap(WIDE, asked(-90, 90, overlap=(0.9, 0.9))) is None
         assert excessive_overlap(WIDE, asked(-90, 90, overlap=(0.9, 0.901))) is not None
 
     def test_more_rows_than_anybody_takes(self) -> None:
         narrow = Camera.from_fov(1.5, 1.0)
         text = excessive_overlap(narrow, asked(-60, 60, overlap=(0.0, 0.99)))
-        assert text == "vertical overlap 0.99 takes more than 5000 rows: ask for less overlap"
+        assert text == "vertical overlap 0.99 needs more than 5000 rows: ask for less overlap"
         # 0.01 degrees each
         assert excessive_overlap(narrow, asked(-60, -11, overlap=(0.0, 0.99))) is None
         assert excessive_overlap(narrow, asked(-60, -9, overlap=(0.0, 0.99))) == text
@@ -126,7 +126,7 @@ class TestTolerance:
         text = str(infeasibility_error(VERY_WIDE, asked(-5, 5, overlap=(0.0, 0.0), tolerance=(tau, 0.0, 0.0))))
         assert "30° (pitch), 0° (roll) and 0° (yaw)" in text
         assert "100° x 80°" in text
-        (share,) = figures(r"about (\d+)% of these tolerances would do", text)
+        (share,) = figures(r"about (\d+)% of these tolerances would be feasible", text)
         assert 0 < share < 100
         less = tau * (share - 1) / 100
         assert is_planned(VERY_WIDE, asked(-5, 5, overlap=(0.0, 0.0), tolerance=(less, 0.0, 0.0)))
@@ -136,8 +136,8 @@ class TestGimbal:
     def test_a_gimbal_that_cannot_look_so_high(self) -> None:
         gimbal = GimbalLimits(pitch_max_deg=20.0)
         top, reach, short = figures(
-            r"elevation (\d+)° cannot be covered: with the gimbal's highest pitch 20° "
-            r"images reach up to ([\d.]+)° all round, ([\d.]+)° short",
+            r"elevation (\d+)° cannot be covered: at the gimbal's highest pitch 20° "
+            r"images cover all azimuths up to ([\d.]+)°, ([\d.]+)° short",
             str(infeasibility_error(WIDE, asked(-30, 50, gimbal=gimbal))),
         )
         assert top == 50
@@ -150,8 +150,8 @@ class TestGimbal:
     def test_a_gimbal_that_cannot_look_so_low(self) -> None:
         gimbal = GimbalLimits(pitch_min_deg=-60.0)
         bottom, reach, short = figures(
-            r"elevation (-\d+)° cannot be covered: with the gimbal's lowest pitch -60° "
-            r"images reach down to (-[\d.]+)° all round, ([\d.]+)° short",
+            r"elevation (-\d+)° cannot be covered: at the gimbal's lowest pitch -60° "
+            r"images cover all azimuths down to (-[\d.]+)°, ([\d.]+)° short",
             str(infeasibility_error(WIDE, asked(-90, -30, gimbal=gimbal))),
         )
         assert bottom == -90
@@ -161,7 +161,8 @@ class TestGimbal:
     def test_a_blind_arc_that_neighbours_cannot_bridge(self) -> None:
         text = str(infeasibility_error(WIDE, asked(-30, 20, gimbal=pans(-140, 140))))
         blind, percent, widest, more = figures(
-            r"pans from -140 to 140°, so neighbours must bridge ([\d.]+)°, but with an overlap of (\d+)% images at "
+            r"pans from -140 to 140°, which leaves a gap of ([\d.]+)° between neighbours, but with an overlap of "
+            r"(\d+)% images at "
             r"the horizon may be at most ([\d.]+)° apart \(([\d.]+)° too much\)",
             text,
         )
@@ -171,13 +172,13 @@ class TestGimbal:
         assert "yaw: auto" in text
         half = 180 - widest / 2
         assert is_planned(WIDE, asked(-5, 5, gimbal=pans(-half - 0.1, half + 0.1)))
-        assert "bridge" in str(infeasibility_error(WIDE, asked(-5, 5, gimbal=pans(-half + 0.5, half - 0.5))))
+        assert "leaves a gap" in str(infeasibility_error(WIDE, asked(-5, 5, gimbal=pans(-half + 0.5, half - 0.5))))
         # what the text asks for
         assert is_planned(WIDE, asked(-30, 20, (-140, 140), gimbal=pans(-140, 140)))
 
     def test_a_sector_outside_the_pan_range(self) -> None:
         text = str(infeasibility_error(WIDE, asked(-30, 20, (110, 250), gimbal=pans(-100, 100))))
-        assert text == "the gimbal pans from -100 to 100°: none of the azimuths asked for is within it"
+        assert text == "the gimbal pans from -100 to 100°: the requested azimuths are outside this range"
         assert is_planned(WIDE, asked(-30, 20, (60, 125), gimbal=pans(-100, 100)))
 
     @pytest.mark.parametrize(("end", "planned"), [(49.0, True), (52.0, False)])
@@ -188,7 +189,7 @@ class TestGimbal:
             return
         text = str(infeasibility_error(WIDE, constraints))
         assert text == (
-            "the gimbal pans from -20 to 20°: images of 60° do not reach the ends of the azimuths asked for from there"
+            "the gimbal pans from -20 to 20°: images of 60° do not reach the ends of the requested azimuths from there"
         )
 
 
@@ -206,8 +207,8 @@ class TestOverlap:
 
         text = str(infeasibility_error(VERY_WIDE, constraints(0.8)))
         value, most, less = figures(
-            rf"a {name} overlap of ([\d.]+) whatever the pointing errors cannot be had with these tolerances: "
-            r"at most about ([\d.]+) can, ([\d.]+) less",
+            rf"a {name} overlap of ([\d.]+) for every pointing error is infeasible with these tolerances: "
+            r"the maximum is about ([\d.]+), ([\d.]+) less",
             text,
         )
         assert value == 0.8
@@ -219,4 +220,4 @@ class TestOverlap:
         text = str(
             infeasibility_error(VERY_WIDE, asked(-60, 30, overlap=(0.8, 0.7), tolerance=(12.0, 0.0, 0.0), sure=True))
         )
-        assert text == "overlaps of 0.8 and 0.7 whatever the pointing errors cannot both be had"
+        assert text == "overlaps of 0.8 and 0.7 for every pointing error are infeasible together"
