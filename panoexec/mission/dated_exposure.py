@@ -1,4 +1,4 @@
-"""Exposures that are dated: judged at the moment at which the camera says that it exposed.
+"""Dated exposures: the pose is judged at the time at which the camera reports that it exposed.
 
 The pose is judged from the trigger to the end of the exposure bound. A shutter that is late, or a trigger that the
 autopilot deferred, exposes after that, when the gimbal may already be on its way. A report that dates the exposure
@@ -32,7 +32,7 @@ class ShutterLag:
     def __init__(self, configured_s: float) -> None:
         self._configured_s = configured_s
         self._measured_s: deque[float] = deque(maxlen=_REMEMBERED)
-        self._told = False
+        self._warned = False
 
     @property
     def bound_s(self) -> float:
@@ -40,16 +40,16 @@ class ShutterLag:
         return max(self._configured_s, *self._measured_s) if self._measured_s else self._configured_s
 
     def note(self, found: CaptureEvidence, commanded_s: float) -> str:
-        """Take the date of a photo; returns what the operator should know, "" for nothing new."""
+        """Add the date of a photo; returns a warning for the operator, "" if there is none."""
         if not is_dated(found) or found.level < EvidenceLevel.FEEDBACK_PIN:
             return ""
         lag_s = found.exposed_s - commanded_s
         if not 0 <= lag_s <= _LONGEST_S:
             return ""
         self._measured_s.append(lag_s + found.exposed_error_s)
-        if self._told or lag_s <= self._configured_s + _TELL_S:
+        if self._warned or lag_s <= self._configured_s + _TELL_S:
             return ""
-        self._told = True
+        self._warned = True
         advised_s = math.ceil(10 * (lag_s + found.exposed_error_s)) / 10
         return (
             f"the camera exposes {lag_s:.2f} s after its trigger, [camera] latency_s is {self._configured_s:g}: "
@@ -63,7 +63,7 @@ def is_dated(found: CaptureEvidence) -> bool:
 
 
 def window(found: CaptureEvidence, commanded_s: float, settings: MissionSettings) -> tuple[float, float]:
-    """From when to when a dated photo was exposed at the utmost, on the mission's clock.
+    """The interval in which a dated photo was exposed, bounds included, on the mission's clock.
 
     Not before its trigger; and not after its report, where the camera reports a photo that it has. Where only the
     trigger is dated (CAMERA_FEEDBACK without a pin), the exposure follows within the bound.
@@ -77,5 +77,5 @@ def window(found: CaptureEvidence, commanded_s: float, settings: MissionSettings
 
 
 def contradictions(found: Sequence[CaptureEvidence]) -> str:
-    """Why photos may be others than those that were asked for; "" if nothing speaks for that."""
+    """Why photos may be other ones than those requested; "" without such a reason."""
     return next((one.contradiction for one in found if one.contradiction), "")

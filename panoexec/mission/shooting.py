@@ -164,7 +164,7 @@ class Shooting:
         *,
         by: str,
     ) -> None:
-        """Wait for what is missing for a verdict on an exposure, evidence first; then it counts or is taken again."""
+        """Await the evidence of an exposure, then check its date and its overlaps; accept or reject the attempt."""
         settings = self._context.settings
         captures, verdict = exposure.captures, exposure.verdict
         wanted = settings.min_evidence
@@ -172,7 +172,7 @@ class Shooting:
             wanted = max(wanted, EvidenceLevel.CAPTURE_MESSAGE)  # its report also dates the exposure
         try:
             proven = await evidence.gather(photos, captures, at_least=wanted, timeout_s=settings.evidence_s)
-            code, why = await self._date_speaks_against(shot, exposure)
+            code, why = await self._evidence_problem(shot, exposure)
             level = evidence.weakest(proven)
             if level < settings.min_evidence:
                 reason = (
@@ -183,7 +183,7 @@ class Shooting:
             elif code:
                 self._reject(shot, number, code, why, proven)
             elif by == "overlap" and not await overlaps_hold(self._context, shot, verdict.measured):
-                reason = f"{verdict.reason}, and the overlaps would not hold with it"
+                reason = f"{verdict.reason}, and the overlaps are too small with this pose"
                 self._reject(shot, number, verdict.code, reason, proven)
             else:
                 self._keep(ev.ShotAccepted(shot=shot, attempt=number, photos=proven, by=by))
@@ -194,21 +194,21 @@ class Shooting:
             self._proven.set()
         await self._identify(shot, number, proven, captures)
 
-    async def _date_speaks_against(self, index: int, exposure: Exposure) -> tuple[str, str]:
-        """Code and reason if the photos may be others, or were exposed when the pose was wrong; else ("", "")."""
+    async def _evidence_problem(self, index: int, exposure: Exposure) -> tuple[str, str]:
+        """Code and reason if a photo may be another one, or was exposed at a wrong pose; ("", "") otherwise."""
         shot = self._context.record.shots[index].shot
         found = await self._learn_lag(exposure.captures)
         for one, capture in zip(found, exposure.captures, strict=True):
             verdict = await self.shooter.judge_date(shot, one, capture.commanded_s, exposure)
             if verdict is not None and not verdict.ok:
                 late_s = one.exposed_s - capture.commanded_s
-                reason = f"exposed {late_s:.2f} s after its trigger, outside the time that was judged: {verdict.reason}"
+                reason = f"exposed {late_s:.2f} s after its trigger, outside the judged window: {verdict.reason}"
                 return "late_exposure", reason
         why = dated_exposure.contradictions(found)
         return ("evidence", why) if why else ("", "")
 
     async def _learn_lag(self, captures: Sequence[PendingCapture]) -> list[CaptureEvidence]:
-        """What is known of photos by now; a shutter that is later than configured is told."""
+        """The current evidence of photos; warns about a shutter lag longer than configured."""
         found = [await capture.evidence(EvidenceLevel.COMMANDED, 0.0) for capture in captures]
         for one, capture in zip(found, captures, strict=True):
             if text := self.shooter.lag.note(one, capture.commanded_s):

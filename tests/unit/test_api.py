@@ -226,7 +226,7 @@ def test_an_unfinished_mission(mission_path: Path) -> None:
 def test_what_is_no_mission(mission_path: Path, tmp_path: Path) -> None:
     with pytest.raises(panoexec.UsageError, match="no such directory"):
         panoexec.open_mission(tmp_path / "nothing")
-    with pytest.raises(panoexec.UsageError, match="holds no mission"):
+    with pytest.raises(panoexec.UsageError, match="not a mission directory"):
         panoexec.open_mission(tmp_path)
     data = json.loads((mission_path / "manifest.json").read_text())
     del data["shots"][3]["attempts"]

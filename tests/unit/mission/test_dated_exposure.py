@@ -1,4 +1,4 @@
-"""Photos that tell when they were exposed: the pose at that moment decides, whatever was judged before."""
+"""Dated photos: the pose at the date of the exposure decides."""
 
 from __future__ import annotations
 
