@@ -66,11 +66,13 @@ def window(found: CaptureEvidence, commanded_s: float, settings: MissionSettings
     """The interval in which a dated photo was exposed, bounds included, on the mission's clock.
 
     Not before its trigger; and not after its report, where the camera reports a photo that it has. Where only the
-    trigger is dated (CAMERA_FEEDBACK without a pin), the exposure follows within the bound.
+    trigger is dated (CAMERA_FEEDBACK without a pin, by its arrival), the exposure follows within the bound.
     """
     start_s = max(commanded_s, found.exposed_s - found.exposed_error_s)
-    length_s = settings.exposure_s if found.level >= EvidenceLevel.FEEDBACK_PIN else settings.exposure_bound_s
-    end_s = found.exposed_s + found.exposed_error_s + length_s
+    if found.level < EvidenceLevel.FEEDBACK_PIN:
+        prompt = found.exposed_s - commanded_s <= found.exposed_error_s
+        return start_s, (commanded_s if prompt else found.exposed_s) + settings.exposure_bound_s
+    end_s = found.exposed_s + found.exposed_error_s + settings.exposure_s
     if found.level >= EvidenceLevel.CAPTURE_MESSAGE:
         end_s = min(end_s, found.received_s)
     return start_s, max(start_s, end_s)

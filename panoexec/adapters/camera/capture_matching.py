@@ -409,6 +409,9 @@ class CaptureMatcher:
         if not before:
             return None
         latest = before[-1]
+        number, index = self._last_match.get(report.source, (-1, -1))
+        if 0 <= index < report.index and latest.number <= number:  # a later photo is no earlier trigger's
+            return None
         late = report.exposed_s - latest.commanded_s > _LATEST_EXPOSURE_S
         return None if late or report.source in latest.sources else latest
 

@@ -56,6 +56,6 @@ async def test_trouble_and_recovery_are_logged_and_the_storage_is_announced_as_r
         await monitor.check()
     await transactions.close()
     assert [log["event"] for log in logs] == ["storage cannot be used", "storage recovered"]
-    assert "min_free_mb asks for" in logs[0]["trouble"]
+    assert "min_free_mb requires" in logs[0]["trouble"]
     assert changes == [logs[0]["trouble"], ""]
     assert len(readable) == 1, "a full disk can be read all the same"

@@ -61,7 +61,8 @@ def test_the_window_is_bounded_by_trigger_and_report() -> None:
     assert window(captured, 10.0, settings) == pytest.approx((10.0, 10.06))
     assert window(found(EvidenceLevel.FEEDBACK_PIN, 11.0), 10.0, settings) == pytest.approx((10.95, 11.07))
     # a trigger that is dated says that the shutter opens within the latency after it
-    assert window(found(EvidenceLevel.COUNTED, 11.0), 10.0, settings) == pytest.approx((10.95, 11.17))
+    assert window(found(EvidenceLevel.COUNTED, 11.0), 10.0, settings) == pytest.approx((10.95, 11.12))
+    assert window(found(EvidenceLevel.COUNTED, 10.03), 10.0, settings) == pytest.approx((10.0, 10.12))
 
 
 def test_what_cannot_be_a_lag_is_not_learned() -> None:
