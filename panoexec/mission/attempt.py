@@ -14,6 +14,7 @@ from panoexec.clock import Clock
 from panoexec.devices import Camera, CaptureEvidence, EvidenceLevel, Gimbal, PendingCapture
 from panoexec.errors import DeviceError
 from panoexec.mission.dated_exposure import ShutterLag, is_dated, window
+from panoexec.mission.exposure import Exposure, NotSettled, Settled
 from panoexec.mission.pointing.gate import SettleLimits, SettleTracker, Target, WindowVerdict, judge_window
 from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.pointing.poses import PoseReader, read_pose, to_north
@@ -34,52 +35,6 @@ LATE_SAMPLES_S = 0.5
 """How long to wait for delayed attitude samples of an exposure."""
 LAST_SLEEP_S = 0.05
 """The last part of a wait for the settle time, slept without reading samples; earlier ones are judged before it."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NotSettled:
-    """The attempt ends before its photo."""
-
-    code: str
-    reason: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Settled:
-    """The pose is settled: trigger now.
-
-    Attributes:
-        commanded_s: when the pointing command was sent.
-        settled_s: when the last condition for the trigger was met.
-    """
-
-    commanded_s: float
-    settled_s: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Exposure:
-    """Photos taken, attitudes judged.
-
-    Attributes:
-        captures: one per photo; evidence is awaited on it.
-        verdict: on the attitudes from the first trigger to the end of the last exposure.
-        trigger_utc_s: wall time of each trigger.
-        trigger_delay_s: from settled to the first trigger on the wire.
-        end_s: until when the attitudes were judged.
-    failure: why not all photos were taken, "" if they were.
-        images_before: how many images the camera counted before; -1 where that was not known.
-        broken_off: somebody asked to hold or to end between two photos of a bracket.
-    """
-
-    captures: tuple[PendingCapture, ...]
-    verdict: WindowVerdict
-    trigger_utc_s: tuple[float, ...]
-    trigger_delay_s: float
-    end_s: float
-    failure: str = ""
-    images_before: int = -1
-    broken_off: bool = False
 
 
 @dataclass(kw_only=True)

@@ -10,8 +10,9 @@ import structlog
 
 from panoexec.devices import CaptureEvidence, EvidenceLevel, PendingCapture
 from panoexec.mission import dated_exposure, evidence
-from panoexec.mission.attempt import Exposure, NotSettled, Settled, Shooter
+from panoexec.mission.attempt import Shooter
 from panoexec.mission.context import MissionContext
+from panoexec.mission.exposure import Exposure, NotSettled, Settled
 from panoexec.mission.guard_monitor import GuardMonitor
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState

@@ -8,7 +8,7 @@ from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
 from panoexec.adapters.camera.camera_clock import CameraClock
-from panoexec.adapters.camera.capture_matching import Report, Source, dated
+from panoexec.adapters.camera.capture import Report, Source, dated
 from panoexec.adapters.gimbal.attitude_messages import number
 from panoexec.adapters.link.message_hub import MavMessage
 from panoexec.devices import CaptureEvidence, EvidenceLevel

@@ -8,7 +8,6 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
-from dataclasses import dataclass
 from functools import partial
 from types import TracebackType
 from typing import Final, Self
@@ -18,8 +17,10 @@ from mavsdk.plugins.camera import Camera, CameraList, Information
 
 from panoexec.adapters.camera.camera_clock import CameraClock
 from panoexec.adapters.camera.camera_kind import CameraKind, OpenCamera
-from panoexec.adapters.camera.capture_matching import Capture, CaptureMatcher
+from panoexec.adapters.camera.capture import Capture
+from panoexec.adapters.camera.capture_matching import CaptureMatcher
 from panoexec.adapters.camera.capture_messages import captured_report, feedback_report, file_is_there
+from panoexec.adapters.camera.mavlink_camera_found import MavlinkCameraFound
 from panoexec.adapters.camera.photo_recall import CAPTURE_STATUS, IMAGE_CAPTURED, recall_images, recall_trigger
 from panoexec.adapters.gimbal.attitude_messages import number
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
@@ -45,48 +46,6 @@ _BYTES_PER_PX: Final = 0.6
 """Upper estimate for a high-quality JPEG: 14 MB for 24 megapixels."""
 
 _log = structlog.get_logger(__name__)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MavlinkCameraFound:
-    """What discovery found; implements `CameraFound`.
-
-    Attributes:
-        component: its MAVLink component; 1 to 6 are shutters of the autopilot.
-        vendor, model: as reported, or "".
-        image_width_px, image_height_px: 0 if not reported.
-        feedback_pin: the autopilot reports the hot-shoe signal and not only the trigger.
-    """
-
-    component: int
-    vendor: str = ""
-    model: str = ""
-    image_width_px: int = 0
-    image_height_px: int = 0
-    feedback_pin: bool = False
-
-    @property
-    def by_autopilot(self) -> bool:
-        """Whether the autopilot triggers it."""
-        return self.component <= 6
-
-    @property
-    def label(self) -> str:
-        """See `CameraFound.label`."""
-        name = f"{self.vendor} {self.model}".strip() or (
-            "a shutter of the autopilot" if self.by_autopilot else "unnamed"
-        )
-        return f"{name}, component {self.component}"
-
-    @property
-    def is_two_way(self) -> bool:
-        """See `CameraFound.is_two_way`; of a shutter, the autopilot answers for it."""
-        return True
-
-    @property
-    def may_tell_files(self) -> bool:
-        """See `CameraFound.may_tell_files`."""
-        return not self.by_autopilot
 
 
 class MavsdkCamera:

@@ -20,7 +20,8 @@ import serial
 import structlog
 
 from panoexec.adapters.camera.camera_kind import CameraKind, OpenCamera
-from panoexec.adapters.camera.capture_matching import Capture, CaptureMatcher
+from panoexec.adapters.camera.capture import Capture
+from panoexec.adapters.camera.capture_matching import CaptureMatcher
 from panoexec.adapters.camera.capture_messages import feedback_report
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.message_hub import Handler, MavMessage

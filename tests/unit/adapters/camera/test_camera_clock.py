@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from panoexec.adapters.camera.camera_clock import DELAY_S, LATE_S, CameraClock
-from panoexec.adapters.camera.capture_matching import Capture, CaptureMatcher, Report, Source, dated
+from panoexec.adapters.camera.capture import Capture, Report, Source, dated
+from panoexec.adapters.camera.capture_matching import CaptureMatcher
 from panoexec.devices import CaptureEvidence, EvidenceLevel
 from tests.unit.fakes.virtual import VirtualClock
 

@@ -7,7 +7,7 @@ from typing import get_args
 
 import pytest
 
-from panoexec.adapters.camera.mavsdk_camera import MavlinkCameraFound
+from panoexec.adapters.camera.mavlink_camera_found import MavlinkCameraFound
 from panoexec.adapters.camera.open_camera import KINDS, open_camera
 from panoexec.adapters.camera.serial_shutter import SerialShutter
 from panoexec.adapters.link.mavsdk_link import MavsdkLink

@@ -1,0 +1,54 @@
+"""How an attempt went: not settled, settled, or exposed with a verdict on the pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from panoexec.devices import PendingCapture
+from panoexec.mission.pointing.gate import WindowVerdict
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NotSettled:
+    """The attempt ends before its photo."""
+
+    code: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settled:
+    """The pose is settled: trigger now.
+
+    Attributes:
+        commanded_s: when the pointing command was sent.
+        settled_s: when the last condition for the trigger was met.
+    """
+
+    commanded_s: float
+    settled_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exposure:
+    """Photos taken, attitudes judged.
+
+    Attributes:
+        captures: one per photo; evidence is awaited on it.
+        verdict: on the attitudes from the first trigger to the end of the last exposure.
+        trigger_utc_s: wall time of each trigger.
+        trigger_delay_s: from settled to the first trigger on the wire.
+        end_s: until when the attitudes were judged.
+    failure: why not all photos were taken, "" if they were.
+        images_before: how many images the camera counted before; -1 where that was not known.
+        broken_off: somebody asked to hold or to end between two photos of a bracket.
+    """
+
+    captures: tuple[PendingCapture, ...]
+    verdict: WindowVerdict
+    trigger_utc_s: tuple[float, ...]
+    trigger_delay_s: float
+    end_s: float
+    failure: str = ""
+    images_before: int = -1
+    broken_off: bool = False
