@@ -6,6 +6,7 @@ import asyncio
 import shutil
 import subprocess
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ from panoexec.mqtt.ground_station import GroundStation
 from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.link import MqttLink, running
 from tests.repository import ROOT
-from tests.wire.broker import PATH, Broker, eventually, free_tcp_port, needs_mosquitto, running_broker
+from tests.waiting import eventually
+from tests.wire.broker import PATH, Broker, free_tcp_port, needs_mosquitto, running_broker
 from tests.wire.certificates import Authority, Issued, needs_openssl
 
 pytestmark = [needs_mosquitto, needs_openssl]
@@ -184,7 +186,7 @@ async def test_the_shipped_configuration_of_the_broker_as_it_is(authority: Autho
             drone, ground = (known(tmp_path, user, port, ca) for user in ("drone", "ground"))
             link = MqttLink(drone, vehicle="drone", on_request=requests.append)
             async with running(link), GroundStation(ground) as station:
-                await eventually(lambda link=link: link.connected, 60)
+                await eventually(partial(getattr, link, "connected"), 60)
                 with pytest.raises(LinkError, match="did not answer"):
                     await station.request("drone", "get", {}, timeout_s=1.0)
                 assert [request.command for request in requests] == ["get"]

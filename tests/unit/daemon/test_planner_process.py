@@ -17,7 +17,7 @@ from panoexec.errors import PanoexecError, PlanningError
 from panoexec.inputs.config import Config
 from panoexec.mqtt.requests import PlanRequest
 from panoexec.planning.job import Job, outcome_of
-from tests.wire.broker import eventually
+from tests.waiting import eventually
 
 
 def a_wish(**fields: object) -> Wish:

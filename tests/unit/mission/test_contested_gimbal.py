@@ -9,7 +9,7 @@ from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.mission_requests import CommandRefusedError
 from panoexec.mission.settings import GuardSettings
-from tests.unit.fakes.flying import fly, until_event
+from tests.unit.fakes.flying import fly, pilot_hands_back, until_event
 from tests.unit.fakes.world import World, some_settings
 
 S = MissionState
@@ -60,10 +60,7 @@ def test_a_pilot_who_takes_over_while_the_gimbal_is_being_taken_sees_it_stand_st
             await until_event(world, ev.ShotStarted, 2)
             world.vehicle.change(mode="STABILIZED")
             await until_event(world, ev.MissionPaused)
-            await world.clock.sleep(1.0)
-            world.vehicle.change(mode="HOLD")
-            await world.clock.sleep(1.0)
-            mission.verbs.resume()
+            await pilot_hands_back(world, mission, mode="HOLD", after_s=1.0)
             pauses = 2
         await world.clock.sleep(1.99)  # the gimbal is ours in a moment
         world.vehicle.change(mode="STABILIZED")
@@ -72,9 +69,7 @@ def test_a_pilot_who_takes_over_while_the_gimbal_is_being_taken_sees_it_stand_st
         await world.clock.sleep(1.0)
         assert len(world.gimbal.commands) == before
         assert not world.gimbal.in_control
-        world.vehicle.change(mode="HOLD")
-        await world.clock.sleep(1.0)
-        mission.verbs.resume()
+        await pilot_hands_back(world, mission, mode="HOLD")
 
     def prepare(world: World) -> None:
         world.gimbal.acquire_s = 2.0
@@ -104,10 +99,7 @@ def test_a_gimbal_that_is_not_ours_may_report_seldom() -> None:
         await until_event(world, ev.ShotStarted, 2)
         world.vehicle.change(mode="STABILIZED")
         await until_event(world, ev.MissionPaused)
-        await world.clock.sleep(3.0)
-        world.vehicle.change(mode="OFFBOARD")
-        await world.clock.sleep(1.45)
-        mission.verbs.resume()
+        await pilot_hands_back(world, mission, after_s=3.0, resume_after_s=1.45)
 
     guards = GuardSettings(attitude_silence_s=0.5, allowed_modes=("OFFBOARD",))
     world = fly(script, prepare, settings=some_settings(guards=guards))
