@@ -14,7 +14,8 @@ from typing import Any
 import aiomqtt
 
 from tests.schemas import DOCUMENT, misfits
-from tests.wire.broker import Broker, eventually
+from tests.waiting import eventually
+from tests.wire.broker import Broker
 
 SPEEDUP = 8.0
 BASE = "panoexec/drone"

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 DRY_RUN = (sys.executable, "-m", "panoexec", "dry-run")
 
@@ -22,6 +27,41 @@ def flown(*arguments: str, timeout_s: float = 180) -> dict[str, Any]:
     summary: dict[str, Any] = json.loads(done.stdout)
     assert (summary["state"], summary["missing"]) == ("complete", []), summary
     return summary
+
+
+@contextlib.contextmanager
+def under_way(*arguments: str, said: str, temporary: Path | None = None) -> Iterator[subprocess.Popen[str]]:
+    """A dry-run that leads a session of its own, once a line of its log says something.
+
+    Args:
+        arguments: after `dry-run`.
+        said: what a line of the log has to contain.
+        temporary: folder for temporary files; None for the usual one.
+
+    Yields:
+        The process, whose output and log from there on can be read; it is killed if the block raises.
+    """
+    with subprocess.Popen(
+        [*DRY_RUN, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | ({} if temporary is None else {"TMPDIR": str(temporary)}),
+        start_new_session=True,
+    ) as process:
+        assert process.stderr is not None
+        log = []
+        try:
+            for line in process.stderr:
+                log.append(line)
+                if said in line:
+                    break
+            else:
+                pytest.fail(f"the log does not say {said!r}: " + "".join(log))
+            yield process
+        except BaseException:
+            process.kill()
+            raise
 
 
 def manifest_of(summary: dict[str, Any]) -> dict[str, Any]:

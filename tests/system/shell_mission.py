@@ -12,7 +12,8 @@ import pytest
 
 from tests.schemas import misfits
 from tests.system.daemon import BASE
-from tests.wire.broker import PATH, Broker, eventually
+from tests.waiting import eventually
+from tests.wire.broker import PATH, Broker
 
 PUB, SUB = (shutil.which(name, path=PATH) for name in ("mosquitto_pub", "mosquitto_sub"))
 LISTENER = "shell-listener"

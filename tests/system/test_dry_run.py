@@ -16,7 +16,7 @@ import pytest
 from panoexec.angles import rotation_from_quaternion
 from panoexec.cli.app import run
 from panoexec.planning.geometry.pose_error import pose_error
-from tests.system.dry_runs import DRY_RUN, accepted, dry_run, flown, manifest_of
+from tests.system.dry_runs import accepted, dry_run, flown, manifest_of, under_way
 
 # the verb sets up logging for its process
 pytestmark = pytest.mark.usefixtures("restored_logs")
@@ -155,14 +155,10 @@ def test_a_truncated_plan_is_refused(tmp_path: Path) -> None:
 
 
 def test_an_interrupted_mission_ends_130_leaves_no_process_and_is_resumed(tmp_path: Path) -> None:
-    command = [*DRY_RUN, *SMALL, *TOLERANCE, "--output", str(tmp_path), "--speedup", "2"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
-        assert process.stderr is not None
-        for line in process.stderr:
-            if "accepted" in line:
-                process.send_signal(signal.SIGINT)
-                break
-        process.stderr.read()
+    given = [*SMALL, *TOLERANCE, "--output", str(tmp_path), "--speedup", "2"]
+    with under_way(*given, said="accepted") as process:
+        process.send_signal(signal.SIGINT)
+        process.communicate()
         assert process.wait(30) == 130
         group = process.pid
     # nobody of the session that it led is left

@@ -10,6 +10,7 @@ import signal
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ from panoexec.cli.app import run
 from panoexec.sim.config import SimConfig
 from panoexec.sim.process import free_udp_port, running_simulator
 from tests.system.daemon import SPEEDUP, ground_station, ready, serving
-from tests.wire.broker import Broker, eventually, free_tcp_port, needs_mosquitto, running_broker
+from tests.waiting import eventually
+from tests.wire.broker import Broker, free_tcp_port, needs_mosquitto, running_broker
 
 pytestmark = needs_mosquitto
 
@@ -177,7 +179,7 @@ async def test_watch_waits_for_a_broker_that_goes_away(tmp_path: Path) -> None:
                 # once the fifth is acknowledged, the first has long been taken in
                 for number in range(1, 6):
                     await other.publish("panoexec/kite/status", "online", qos=1)
-                    await eventually(lambda number=number: acknowledged(broker) >= number, 60)
+                    await eventually(partial(lambda least: acknowledged(broker) >= least, number), 60)
             watching.send_signal(signal.SIGINT)
             seen = await document(watching)
             assert watching.returncode == 130

@@ -27,7 +27,7 @@ from panoexec.dryrun.rigs import SitlVehicle
 from panoexec.mission.pointing.poses import read_pose
 from panoexec.planning.geometry.pose_error import pose_error
 from panoexec.sim.config import SimConfig
-from tests.wire.scripted_peer import eventually
+from tests.waiting import eventually
 
 SPEEDUP = 4.0
 HOME = (-35.363261, 149.165230, 584.0, 353.0)

@@ -9,8 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -22,6 +21,7 @@ from panoexec.sim.mavlink.dialect import mavlink
 from panoexec.sim.mavlink.wire import attach
 from panoexec.sim.pacing import TIME_COMPONENT, TIME_MESSAGE, time_from_fields
 from panoexec.sim.process import free_udp_port, running_simulator
+from tests.waiting import wait_until
 
 SIMULATE = [sys.executable, "-m", "panoexec", "simulate"]
 
@@ -55,7 +55,7 @@ def test_the_verb_says_how_to_connect_flies_and_ends_cleanly(
             1, 100, mavlink.MAV_CMD_IMAGE_START_CAPTURE, 0, 0, 0, 1, 1, 0, 0, 0
         )
         ground.sendto(shoot.pack(mavlink.MAVLink(None, 1, 195)), vehicle)
-        wait_for((tmp_path / "photos" / "IMG_00001.jpg").exists)
+        wait_until((tmp_path / "photos" / "IMG_00001.jpg").exists)
         children = children_of(process.pid)
         assert children
         process.send_signal(stop)
@@ -204,7 +204,7 @@ def test_it_does_not_outlive_a_parent_that_was_killed(tmp_path: Path) -> None:
         family = [pid, *children_of(pid)]
         assert len(family) > 1
         parent.kill()
-    wait_for(lambda: not any(alive(member) for member in family))
+    wait_until(lambda: not any(alive(member) for member in family))
 
 
 async def test_attaching_waits_for_the_autopilot_and_gives_up() -> None:
@@ -302,11 +302,3 @@ def alive(pid: int) -> bool:
     except (FileNotFoundError, ProcessLookupError):
         return False
     return state != "Z"
-
-
-def wait_for(condition: Callable[[], bool], timeout_s: float = 20.0) -> None:
-    """Poll until the condition holds."""
-    end = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end, "it did not come to pass"
-        time.sleep(0.02)

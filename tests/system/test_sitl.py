@@ -11,7 +11,6 @@ import json
 import os
 import signal
 import subprocess
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,8 @@ import pytest
 from panoexec.dryrun.autopilot import BINARY_VARIABLE, free_udp_ports, sitl_binary
 from panoexec.sim.config import AirframeConfig
 from tests.repository import ROOT
-from tests.system.dry_runs import DRY_RUN, accepted, dry_run, flown
+from tests.system.dry_runs import accepted, dry_run, flown, under_way
+from tests.waiting import wait_until
 
 SPEEDUP = "5"
 MISSION = ("--method", "paper", "--wind", "8", "--speedup", SPEEDUP, "--image-width", "200")
@@ -66,30 +66,16 @@ def living(pids: set[int]) -> dict[int, str]:
 
 
 def assert_none_left(pids: set[int], *, within_s: float) -> None:
-    deadline = time.monotonic() + within_s
-    while living(pids) and time.monotonic() < deadline:
-        time.sleep(0.05)
+    with contextlib.suppress(TimeoutError):
+        wait_until(lambda: not living(pids), within_s)
     assert living(pids) == {}
 
 
 @contextlib.contextmanager
 def in_the_middle(tmp_path: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[str], set[int]]]:
     """A mission on SITL that has taken its second photo, and everything that it started."""
-    with subprocess.Popen(
-        [*DRY_RUN, *mission(*WHOLE, *arguments, output=tmp_path), "--json"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"TMPDIR": str(tmp_path)},
-    ) as process:
-        assert process.stderr is not None
-        said = []
-        for line in process.stderr:
-            said.append(line)
-            if "shot 1, attempt" in line:
-                break
-        else:
-            pytest.fail("no mission: " + "".join(said))
+    given = mission(*WHOLE, *arguments, output=tmp_path)
+    with under_way(*given, "--json", said="shot 1, attempt", temporary=tmp_path) as process:
         children = children_of(process.pid)
         assert any("arducopter" in line for line in living(children).values())
         yield process, children

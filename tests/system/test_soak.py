@@ -18,7 +18,8 @@ import pytest
 from panoexec.sim.config import SimConfig
 from panoexec.sim.process import free_udp_port, running_simulator
 from tests.system.daemon import Ground, ground_station, ready, write_config
-from tests.wire.broker import eventually, needs_mosquitto, running_broker
+from tests.waiting import eventually
+from tests.wire.broker import needs_mosquitto, running_broker
 
 MISSIONS = int(os.environ.get("PANOEXEC_SOAK", "0"))
 WARM_UP = 20

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import os
 import shutil
@@ -116,11 +115,3 @@ def running_broker(
         yield broker
     finally:
         broker.stop(kill=True)
-
-
-async def eventually(condition: object, timeout_s: float = 30.0) -> None:
-    """Return once the condition, a function without arguments, holds."""
-    assert callable(condition)
-    async with asyncio.timeout(timeout_s):
-        while not condition():  # noqa: ASYNC110
-            await asyncio.sleep(0.01)

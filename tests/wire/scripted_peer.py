@@ -29,13 +29,6 @@ def free_udp_port() -> int:
         return int(probe.getsockname()[1])
 
 
-async def eventually(condition: Callable[[], object], timeout_s: float = 5.0) -> None:
-    """Return when something becomes true that nothing announces."""
-    async with asyncio.timeout(timeout_s):
-        while not condition():  # noqa: ASYNC110
-            await asyncio.sleep(0.01)
-
-
 class ScriptedPeer(asyncio.Protocol, asyncio.DatagramProtocol):
     """An autopilot (component 1) and whatever else `send` is told to speak for.
 

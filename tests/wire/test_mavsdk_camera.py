@@ -17,7 +17,8 @@ from panoexec.clock import SystemClock
 from panoexec.devices import Camera, EvidenceLevel
 from panoexec.errors import DeviceError, LinkError
 from panoexec.sim.mavlink.dialect import mavlink
-from tests.wire.scripted_peer import ACCEPTED, DENIED, ScriptedPeer, eventually, listening
+from tests.waiting import eventually
+from tests.wire.scripted_peer import ACCEPTED, DENIED, ScriptedPeer, listening
 
 CLOCK = SystemClock()
 COUNTED, CAPTURED = EvidenceLevel.COUNTED, EvidenceLevel.CAPTURE_MESSAGE

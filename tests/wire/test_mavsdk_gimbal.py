@@ -17,7 +17,8 @@ from panoexec.devices import Gimbal, YawFrame
 from panoexec.errors import DeviceError, LinkError
 from panoexec.mission.pointing.poses import pose_of, read_pose
 from panoexec.sim.mavlink.dialect import mavlink
-from tests.wire.scripted_peer import DENIED, NAN, GimbalPeer, ScriptedPeer, eventually
+from tests.waiting import eventually
+from tests.wire.scripted_peer import DENIED, NAN, GimbalPeer, ScriptedPeer
 
 DEVICE = 154
 

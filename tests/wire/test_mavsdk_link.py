@@ -19,7 +19,8 @@ import pytest
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.clock import SystemClock
 from panoexec.errors import DeviceError, LinkError, UsageError
-from tests.wire.scripted_peer import FAILED, IN_PROGRESS, ScriptedPeer, eventually, free_udp_port, listening
+from tests.waiting import eventually
+from tests.wire.scripted_peer import FAILED, IN_PROGRESS, ScriptedPeer, free_udp_port, listening
 
 CLOCK = SystemClock()
 

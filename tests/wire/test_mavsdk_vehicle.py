@@ -20,7 +20,8 @@ from panoexec.planning.model import Shot
 from panoexec.sim.config import AirframeConfig, SimConfig
 from panoexec.sim.mavlink.dialect import mavlink
 from panoexec.sim.process import free_udp_port, running_simulator
-from tests.wire.scripted_peer import ACCEPTED, FAILED, ScriptedPeer, eventually
+from tests.waiting import eventually
+from tests.wire.scripted_peer import ACCEPTED, FAILED, ScriptedPeer
 
 GPS = 0x20
 

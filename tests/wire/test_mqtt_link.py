@@ -20,7 +20,8 @@ from panoexec.mqtt.client import broker_client
 from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.link import MqttLink, running
 from panoexec.mqtt.topics import Topics
-from tests.wire.broker import Broker, eventually, needs_mosquitto, running_broker
+from tests.waiting import eventually
+from tests.wire.broker import Broker, needs_mosquitto, running_broker
 
 pytestmark = needs_mosquitto
 Protocol = Literal["5", "3.1.1"]

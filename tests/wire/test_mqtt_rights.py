@@ -23,7 +23,8 @@ from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.link import MqttLink, running
 from panoexec.mqtt.probe import probe_broker
 from tests.repository import ROOT
-from tests.wire.broker import PATH, Broker, eventually, needs_mosquitto, running_broker
+from tests.waiting import eventually
+from tests.wire.broker import PATH, Broker, needs_mosquitto, running_broker
 
 pytestmark = needs_mosquitto
 ACL = ROOT / "config" / "mosquitto.acl"

@@ -6,6 +6,7 @@ import asyncio
 import shutil
 import subprocess
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ from panoexec.mqtt.ground_station import GroundStation
 from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.link import MqttLink, running
 from tests.repository import ROOT
-from tests.wire.broker import PATH, Broker, eventually, free_tcp_port, needs_mosquitto, running_broker
+from tests.waiting import eventually
+from tests.wire.broker import PATH, Broker, free_tcp_port, needs_mosquitto, running_broker
 from tests.wire.certificates import Authority, Issued, needs_openssl
 
 pytestmark = [needs_mosquitto, needs_openssl]

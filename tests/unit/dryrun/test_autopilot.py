@@ -8,7 +8,6 @@ import stat
 import subprocess
 import sys
 import textwrap
-import time
 from pathlib import Path
 
 import pytest
@@ -23,6 +22,7 @@ from panoexec.dryrun.autopilot import (
 )
 from panoexec.errors import DeviceError, UsageError
 from tests.repository import ROOT
+from tests.waiting import wait_until
 
 WAITS = """
     import pathlib, sys, time
@@ -52,9 +52,7 @@ async def written(path: Path) -> str:
     """What a program wrote, as soon as it is there."""
 
     def read() -> str:
-        deadline = time.monotonic() + 10
-        while not (path.exists() and path.stat().st_size) and time.monotonic() < deadline:
-            time.sleep(0.01)
+        wait_until(lambda: path.exists() and path.stat().st_size)
         return path.read_text(encoding="utf-8")
 
     return await asyncio.to_thread(read)
@@ -184,10 +182,7 @@ def test_it_does_not_outlive_a_parent_that_is_killed(tmp_path: Path) -> None:
         pid = int(process.stdout.readline())
         assert is_alive(pid)
         process.send_signal(signal.SIGKILL)
-    deadline = time.monotonic() + 10
-    while is_alive(pid) and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert not is_alive(pid)
+    wait_until(lambda: not is_alive(pid))
 
 
 def test_ports_are_free_and_different() -> None:

@@ -43,6 +43,30 @@ async def until_event(world: World, kind: type[ev.Event], count: int = 1) -> Non
         await world.clock.sleep(0.01)
 
 
+async def until_photos(world: World, count: int) -> None:
+    while len(world.camera.photos) < count:
+        await world.clock.sleep(0.01)
+
+
+async def pilot_takes_over(world: World, *, within_s: float) -> None:
+    """The pilot changes the flight mode, and has the gimbal within so many seconds."""
+    world.vehicle.change(mode="STABILIZED")
+    asked = world.clock.monotonic()
+    while world.gimbal.in_control:
+        await world.clock.sleep(0.01)
+    assert world.clock.monotonic() - asked < within_s
+
+
+async def pilot_hands_back(
+    world: World, mission: Mission, *, mode: str = "OFFBOARD", after_s: float = 0.0, resume_after_s: float = 1.0
+) -> None:
+    """After a while the pilot changes back to an allowed flight mode, and a little later the mission is resumed."""
+    await world.clock.sleep(after_s)
+    world.vehicle.change(mode=mode)
+    await world.clock.sleep(resume_after_s)
+    mission.verbs.resume()
+
+
 def drift_at(world: World, shot_yaw_north: float, *, until_s: float, size: float = 1.0) -> None:
     """The gimbal wanders by `size` in pitch whenever it was sent to this yaw, before a moment."""
 

@@ -8,16 +8,11 @@ from panoexec.mission.executor import Mission
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import Verdict
 from panoexec.mission.log.states import MissionState
-from tests.unit.fakes.flying import fly
+from tests.unit.fakes.flying import fly, pilot_hands_back, pilot_takes_over, until_photos
 from tests.unit.fakes.world import World, some_settings
 
 S = MissionState
 FIVE = some_settings(brackets=5, interval_s=2.0, exposure_s=0.02)
-
-
-async def _photos(world: World, count: int) -> None:
-    while len(world.camera.photos) < count:
-        await world.clock.sleep(0.01)
 
 
 def test_a_bracket_is_one_shot_with_all_its_photos() -> None:
@@ -55,7 +50,7 @@ def test_a_pilot_need_not_wait_for_the_rest_of_a_bracket() -> None:
 )
 def test_a_command_is_obeyed_between_two_photos(verb: str, state: MissionState) -> None:
     async def script(world: World, mission: Mission) -> None:
-        await _photos(world, 2)
+        await until_photos(world, 2)
         await world.clock.sleep(0.5)
         getattr(mission.commands, verb)()
         await world.clock.sleep(1.0)

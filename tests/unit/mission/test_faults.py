@@ -9,7 +9,7 @@ from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.mission_requests import CommandRefusedError
 from panoexec.mission.settings import GuardSettings
-from tests.unit.fakes.flying import fly, until_event
+from tests.unit.fakes.flying import fly, pilot_takes_over, until_event
 from tests.unit.fakes.world import World, some_settings
 
 S = MissionState
@@ -110,11 +110,7 @@ class TestFaults:
     def test_the_pilot_takes_over_and_has_the_gimbal_at_once(self) -> None:
         async def script(world: World, mission: Mission) -> None:
             await until_event(world, ev.ShotStarted, 2)
-            world.vehicle.change(mode="STABILIZED")
-            asked = world.clock.monotonic()
-            while world.gimbal.in_control:
-                await world.clock.sleep(0.01)
-            assert world.clock.monotonic() - asked < 0.4
+            await pilot_takes_over(world, within_s=0.4)
             await world.clock.sleep(5.0)
             with pytest.raises(CommandRefusedError, match="taken over"):
                 mission.commands.resume()

@@ -27,6 +27,7 @@ from panoexec.store.session import (
     create_mission,
     open_mission,
 )
+from tests.unit.fakes.flying import until_event
 from tests.unit.fakes.virtual import run_virtual
 from tests.unit.fakes.world import World, a_world
 
@@ -52,11 +53,6 @@ async def _new(world: World, storage: Path) -> StoredMission:
     return await create_mission(
         storage, plan=world.plan, settings=world.settings, now_utc_s=world.clock.time(), extra={"mine": 1}
     )
-
-
-async def _until(world: World, kind: type[ev.Event], count: int) -> None:
-    while len(world.sink.of(kind)) < count:
-        await world.clock.sleep(0.01)
 
 
 async def _interrupted(world: World, storage: Path) -> MissionDirectory:
@@ -162,7 +158,7 @@ def test_a_directory_deleted_under_a_running_mission_ends_it_with_the_gimbal_rel
             stored = await _new(world, tmp_path)
 
             async def delete(session: MissionSession) -> None:
-                await _until(world, ev.ShotAccepted, 1)
+                await until_event(world, ev.ShotAccepted, 1)
                 shutil.rmtree(session.stored.directory.path)
 
             with pytest.RaisesGroup(pytest.RaisesExc(MissionError, match="deleted while the mission was running")):
