@@ -186,7 +186,7 @@ async def test_the_shipped_configuration_of_the_broker_as_it_is(authority: Autho
             drone, ground = (known(tmp_path, user, port, ca) for user in ("drone", "ground"))
             link = MqttLink(drone, vehicle="drone", on_request=requests.append)
             async with running(link), GroundStation(ground) as station:
-                await eventually(lambda link=link: link.connected, 60)
+                await eventually(partial(getattr, link, "connected"), 60)
                 with pytest.raises(LinkError, match="did not respond"):
                     await station.request("drone", "get", {}, timeout_s=1.0)
                 assert [request.command for request in requests] == ["get"]

@@ -22,7 +22,7 @@ from panoexec.inputs.config import Config
 from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.requests import parse_request
 from panoexec.mqtt.transactions import MAX_UNDER_WAY, Transactions
-from tests.wire.broker import eventually
+from tests.waiting import eventually
 
 
 @dataclass

@@ -19,7 +19,7 @@ from panoexec.errors import PanoexecError, PlanningError
 from panoexec.inputs.config import Config
 from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.mqtt.requests import PlanRequest
-from tests.wire.broker import eventually
+from tests.waiting import eventually
 
 
 def a_spec(**fields: object) -> PlanSpec:

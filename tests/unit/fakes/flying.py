@@ -64,7 +64,7 @@ async def pilot_hands_back(
     await world.clock.sleep(after_s)
     world.vehicle.change(mode=mode)
     await world.clock.sleep(resume_after_s)
-    mission.verbs.resume()
+    mission.commands.resume()
 
 
 def drift_at(world: World, shot_yaw_north: float, *, until_s: float, size: float = 1.0) -> None:

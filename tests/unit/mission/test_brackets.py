@@ -25,16 +25,9 @@ def test_a_bracket_is_one_shot_with_all_its_photos() -> None:
 
 def test_a_pilot_need_not_wait_for_the_rest_of_a_bracket() -> None:
     async def script(world: World, mission: Mission) -> None:
-        await _photos(world, 7)
-        world.vehicle.change(mode="STABILIZED")
-        asked = world.clock.monotonic()
-        while world.gimbal.in_control:
-            await world.clock.sleep(0.01)
-        assert world.clock.monotonic() - asked < 0.5
-        await world.clock.sleep(3.0)
-        world.vehicle.change(mode="OFFBOARD")
-        await world.clock.sleep(1.0)
-        mission.commands.resume()
+        await until_photos(world, 7)
+        await pilot_takes_over(world, within_s=0.5)
+        await pilot_hands_back(world, mission, after_s=3.0)
 
     world = fly(script, settings=FIVE)
     assert world.record.state is S.COMPLETE

@@ -9,7 +9,7 @@ from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.mission_requests import CommandRefusedError
 from panoexec.mission.settings import GuardSettings
-from tests.unit.fakes.flying import fly, pilot_hands_back, until_event
+from tests.unit.fakes.flying import fly, until_event
 from tests.unit.fakes.world import World, some_settings
 
 S = MissionState

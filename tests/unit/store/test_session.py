@@ -60,7 +60,7 @@ async def _interrupted(world: World, storage: Path) -> MissionDirectory:
     stored = await _new(world, storage)
 
     async def stop(session: MissionSession) -> None:
-        await _until(world, ev.ShotAccepted, 2)
+        await until_event(world, ev.ShotAccepted, 2)
         session.mission.commands.interrupt()
 
     assert (await _fly(world, stored, stop)).state is S.PAUSED
