@@ -57,7 +57,7 @@ class AutoResume:
             self._group.create_task(self._resume(), name="resume")
 
     async def _resume(self) -> None:
-        while self._missions.offer is not None and await self._commands.may_go_on_by_itself():
+        while self._missions.offer is not None and await self._commands.may_auto_resume():
             devices = self._vehicle.devices
             if devices is not None and self._vehicle.links().autopilot.ok:
                 try:

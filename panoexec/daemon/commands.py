@@ -1,4 +1,4 @@
-"""Requests dispatched to missions and plans: each is answered, and nothing a stranger sends can stop the daemon."""
+"""Executes MQTT requests: each one is answered, and no request, however malformed, can stop the daemon."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _log = structlog.get_logger(__name__)
 
 
 class Commands:
-    """Obeys requests.
+    """Executes requests.
 
     Attributes:
         camera: set by `set_profile`; None = the configured one.
@@ -69,16 +69,16 @@ class Commands:
         respond: Callable[[Incoming, bytes], None],
         refresh: Callable[[], dict[str, Any]],
     ) -> None:
-        """Describe it.
+        """Store the collaborators.
 
         Args:
-            config: as of now.
-            missions: to be commanded.
-            vehicle: with its devices.
-            transactions: what was obeyed before.
-            group: of the daemon's tasks.
-            respond: publishes an answer.
-            refresh: publishes state and plan anew and returns the state.
+            config: returns the current configuration.
+            missions: executes missions.
+            vehicle: connection to the vehicle and its devices.
+            transactions: store of the requests executed before, for duplicates.
+            group: task group in which requests run.
+            respond: publishes a response.
+            refresh: publishes state and plan again and returns the state.
         """
         self.camera: str | dict[str, Any] | None = None
         self._config = config
@@ -93,7 +93,7 @@ class Commands:
         self._starting: asyncio.Task[Plan] | None = None
 
     async def restore(self) -> None:
-        """Take up what was set before a restart."""
+        """Restore the camera profile that was set before a restart."""
         text = await self._transactions.recall(CAMERA)
         self.camera = json.loads(text) if text else None
 
@@ -109,22 +109,22 @@ class Commands:
             self._respond(incoming, dump(failed(error)))
             return
         if is_new:
-            serving = self._transactions.serve(request, partial(self._obeyed, request, incoming))
+            serving = self._transactions.serve(request, partial(self._response_to, request, incoming))
             self._group.create_task(serving, name=f"request {request.command}")
 
-    async def _obeyed(self, request: Request, incoming: Incoming) -> Response:
-        """Obey if it is not too late, and turn whatever goes wrong into an answer."""
+    async def _response_to(self, request: Request, incoming: Incoming) -> Response:
+        """Execute the request unless it has expired; every failure becomes a response."""
         try:
             _check_fresh(incoming)
-            return ok(request.transaction, await self._obey(request))
+            return ok(request.transaction, await self._execute(request))
         except Exception as error:  # noqa: BLE001  (the edge of the service: no request may end the daemon)
             refused = refusal_of(error)
             if refused.code == "internal":
                 _log.exception("internal error while handling the request", command=request.command)
-        _log.warning("request not obeyed", command=request.command, code=refused.code, error=refused.message[:300])
+        _log.warning("request failed", command=request.command, code=refused.code, error=refused.message[:300])
         return failed(refused, request.transaction)
 
-    async def _obey(self, request: Request) -> dict[str, Any]:
+    async def _execute(self, request: Request) -> dict[str, Any]:
         _log.info("request", command=request.command, transaction=str(request.transaction)[:128])
         match request:
             case StartRequest():
@@ -157,10 +157,10 @@ class Commands:
                 shot = {"shot": mission.commands.skip(request.shot)}
             case RepeatRequest():
                 shot = {"shot": mission.commands.repeat(request.shot)}
-        return shot | await self._done(mission)
+        return shot | await self._journaled_state(mission)
 
-    async def _done(self, mission: Mission) -> dict[str, Any]:
-        """What was asked for is in the journal."""
+    async def _journaled_state(self, mission: Mission) -> dict[str, Any]:
+        """Wait until the command is in the journal; return mission id and state."""
         await mission.durable()
         return {"mission_id": mission.record.mission_id, "state": mission.record.state.value}
 
@@ -200,7 +200,7 @@ class Commands:
         mission = await self._missions.under_way()
         if mission is not None:
             mission.commands.resume()
-            return await self._done(mission)
+            return await self._journaled_state(mission)
         async with self._missions.claimed():
             if self._missions.offer is None:
                 raise CommandRefusedError("cannot resume: no mission is paused and none was interrupted")
@@ -214,18 +214,18 @@ class Commands:
         mission = await self._missions.under_way()
         if mission is not None:
             mission.commands.abort(reason)
-            return await self._done(mission)
+            return await self._journaled_state(mission)
         if self._missions.busy:
             raise MissionBusyError("the mission is just beginning: ask again")
         offer = self._missions.offer
         if offer is None:
             raise CommandRefusedError("cannot abort: no mission is under way")
-        # it stays on disk and may be resumed by request, but does not go on by itself any more
+        # it stays on disk and may be resumed by request, but is not resumed automatically
         await self._transactions.remember(DECLINED, offer.stored_id)
         return {"mission_id": offer.stored_id}
 
-    async def may_go_on_by_itself(self) -> bool:
-        """Whether nobody called off the offered mission."""
+    async def may_auto_resume(self) -> bool:
+        """Whether the interrupted mission may resume automatically: the operator has not aborted it."""
         offer = self._missions.offer
         return offer is not None and await self._transactions.recall(DECLINED) != offer.stored_id
 

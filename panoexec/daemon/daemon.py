@@ -45,9 +45,9 @@ class Daemon:
     """Runs until `stop`.
 
     Attributes:
-        vehicle: with its devices.
-        missions: one at a time.
-        mqtt: to the broker; None without one.
+        vehicle: connection to the vehicle and its payload.
+        missions: runs missions, one at a time.
+        mqtt: broker connection; None if no broker is configured.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Daemon:
         notifier: SystemdNotifier,
         vehicle: VehicleLink | None = None,
     ) -> None:
-        """Compose what does not need the storage.
+        """Create the components that do not need the storage.
 
         Args:
             config: checked.
@@ -177,7 +177,7 @@ class Daemon:
         if self._mqtt_task is not None:
             await asyncio.wait({self._mqtt_task}, timeout=_FLUSH_S)
 
-    # --- what the parts call each other by
+    # --- callbacks between components
 
     def _take(self, incoming: Incoming) -> None:
         if self._commands is not None and not self._stopping.is_set():

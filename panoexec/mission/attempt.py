@@ -13,11 +13,11 @@ from panoexec.angles import yaw_pitch_roll
 from panoexec.clock import Clock
 from panoexec.devices import Camera, CaptureEvidence, EvidenceLevel, Gimbal, PendingCapture
 from panoexec.errors import DeviceError
+from panoexec.mission.attempt_result import Exposure, NotSettled, Settled
 from panoexec.mission.dated_exposure import ShutterLag, is_dated, window
-from panoexec.mission.exposure import Exposure, NotSettled, Settled
-from panoexec.mission.pointing.gate import SettleLimits, SettleTracker, Target, WindowVerdict, judge_window
 from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.pointing.poses import PoseReader, read_pose, to_north
+from panoexec.mission.pointing.tolerance_gate import SettleLimits, SettleTracker, Target, WindowVerdict, judge_window
 from panoexec.mission.preflight import gimbal_limits
 from panoexec.mission.protocols import PhotoRecall
 from panoexec.mission.settings import MissionSettings

@@ -2,7 +2,7 @@
 
 The pose is judged from the trigger to the end of the exposure bound. A shutter that is late, or a trigger that the
 autopilot deferred, exposes after that, when the gimbal may already be on its way. A report that dates the exposure
-outside the judged window therefore proves nothing of that pose: the attitude at the date decides.
+outside the judged window therefore does not verify that pose: the attitude at the date is judged instead.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from typing import Final
 from panoexec.devices import CaptureEvidence, EvidenceLevel
 from panoexec.mission.settings import MissionSettings
 
-SURE_S: Final = 0.25
-"""A date that may be wrong by more than this does not decide."""
-_LONGEST_S: Final = 10.0
+MAX_DATE_ERROR_S: Final = 0.25
+"""Dates less certain than this are ignored."""
+_MAX_LAG_S: Final = 10.0
 _REMEMBERED: Final = 3
-_TELL_S: Final = 0.1
+_WARN_ABOVE_S: Final = 0.1
 
 
 class ShutterLag:
-    """How long after the trigger the shutter opens, as far as the camera's dates tell.
+    """How long after the trigger the shutter opens, estimated from the camera's dates.
 
     Args:
         configured_s: `[camera] latency_s`.
@@ -44,10 +44,10 @@ class ShutterLag:
         if not is_dated(found) or found.level < EvidenceLevel.FEEDBACK_PIN:
             return ""
         lag_s = found.exposed_s - commanded_s
-        if not 0 <= lag_s <= _LONGEST_S:
+        if not 0 <= lag_s <= _MAX_LAG_S:
             return ""
         self._measured_s.append(lag_s + found.exposed_error_s)
-        if self._warned or lag_s <= self._configured_s + _TELL_S:
+        if self._warned or lag_s <= self._configured_s + _WARN_ABOVE_S:
             return ""
         self._warned = True
         advised_s = math.ceil(10 * (lag_s + found.exposed_error_s)) / 10
@@ -59,7 +59,7 @@ class ShutterLag:
 
 def is_dated(found: CaptureEvidence) -> bool:
     """Whether a photo is dated well enough to be judged by its date."""
-    return math.isfinite(found.exposed_s) and found.exposed_error_s <= SURE_S
+    return math.isfinite(found.exposed_s) and found.exposed_error_s <= MAX_DATE_ERROR_S
 
 
 def window(found: CaptureEvidence, commanded_s: float, settings: MissionSettings) -> tuple[float, float]:

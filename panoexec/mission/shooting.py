@@ -11,15 +11,15 @@ import structlog
 from panoexec.devices import CaptureEvidence, EvidenceLevel, PendingCapture
 from panoexec.mission import dated_exposure, evidence
 from panoexec.mission.attempt import Shooter
+from panoexec.mission.attempt_result import Exposure, NotSettled, Settled
 from panoexec.mission.context import MissionContext
-from panoexec.mission.exposure import Exposure, NotSettled, Settled
 from panoexec.mission.guard_monitor import GuardMonitor
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
-from panoexec.mission.pointing.gate import WindowVerdict
+from panoexec.mission.measured_certificate import overlaps_hold
+from panoexec.mission.pointing.tolerance_gate import WindowVerdict
 from panoexec.mission.protocols import ReportsPhotos
 from panoexec.mission.shot_queue import Decision, Task
-from panoexec.mission.verifier import overlaps_hold
 from panoexec.mission.waiting import until
 
 

@@ -10,9 +10,9 @@ from typing import Final
 
 from panoexec.errors import UsageError
 
-_MAY_HEAL: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
+_RECOVERABLE: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
 _PRIMARY: Final = 0xFF
-"""SQLite's error codes say in their low byte what happened, and above it where."""
+"""Mask of the primary result code in an extended result code of SQLite."""
 
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS transactions (
@@ -38,7 +38,7 @@ def open_transaction_file(path: Path) -> sqlite3.Connection:
         path.parent.mkdir(parents=True, exist_ok=True)
         return _prepared(sqlite3.connect(path, timeout=1.0, check_same_thread=False))
     except OSError as error:
-        kind = StorageDownError if error.errno in _MAY_HEAL else UsageError
+        kind = StorageDownError if error.errno in _RECOVERABLE else UsageError
         raise kind(
             f"storage.path {path.parent}: cannot be used ({error.strerror}); give a folder that the service can write"
         ) from error
@@ -49,11 +49,13 @@ def open_transaction_file(path: Path) -> sqlite3.Connection:
             ) from error
         if _is_down(error, path.parent):
             raise StorageDownError(
-                f"storage.path {path.parent}: cannot be written ({error}); make room, or have the disk looked at"
+                f"storage.path {path.parent}: cannot be written ({error}); free space, or check the disk"
             ) from error
         raise UsageError(f"{path}: cannot be opened ({error}); give a folder that the service can write") from error
     except sqlite3.DatabaseError as error:
-        raise UsageError(f"{path}: damaged ({error}); move it away to start afresh, missions are not in it") from error
+        raise UsageError(
+            f"{path}: damaged ({error}); rename or delete it to start with an empty store; missions are stored elsewhere"
+        ) from error
 
 
 def _prepared(connection: sqlite3.Connection) -> sqlite3.Connection:
@@ -71,7 +73,7 @@ def _prepared(connection: sqlite3.Connection) -> sqlite3.Connection:
 
 
 def _is_down(error: sqlite3.OperationalError, folder: Path) -> bool:
-    """Whether it is the disk's fault, and not that of who was named as its user or of the name."""
+    """Whether the disk is full, failing or read-only, rather than the path or its permissions being wrong."""
     if error.sqlite_errorcode & _PRIMARY in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
         return True
     try:

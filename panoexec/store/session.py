@@ -23,10 +23,10 @@ from panoexec.mission.executor import Mission
 from panoexec.mission.log.events import Event, EventSink
 from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.log.states import FINISHED
+from panoexec.mission.measured_certificate import ThreadedVerifier
 from panoexec.mission.pilot_messages import PilotMessage, PilotMessenger
 from panoexec.mission.protocols import Journal
 from panoexec.mission.settings import MissionSettings
-from panoexec.mission.verifier import ThreadedVerifier
 from panoexec.mission.waiting import first_failure
 from panoexec.planning.model import Plan
 from panoexec.store.directory import MissionDirectory, new_mission_directory

@@ -21,8 +21,8 @@ from panoexec.angles import rotation_from_quaternion
 from panoexec.dryrun.run import DryRunOptions, DryRunSummary, run_dry_run
 from panoexec.inputs.camera_profiles import load_profile
 from panoexec.inputs.plan_file import read_plan_file
+from panoexec.mission.measured_certificate import certify_measured
 from panoexec.mission.settings import GuardSettings, MissionSettings
-from panoexec.mission.verifier import certify_measured
 from panoexec.optics import Camera
 from panoexec.planning.geometry.pose_error import pose_error
 from panoexec.planning.make_plan import make_plan

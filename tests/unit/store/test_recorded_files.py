@@ -20,8 +20,8 @@ from panoexec.exports import export_set, write_exports
 from panoexec.inputs.plan_file import camera_to_data, certificate_to_data, plan_to_data, read_plan_file, write_plan
 from panoexec.mission.log.events import Event
 from panoexec.mission.log.record import MissionRecord
+from panoexec.mission.measured_certificate import certify_measured
 from panoexec.mission.settings import MissionSettings
-from panoexec.mission.verifier import certify_measured
 from panoexec.planning.certificate.verdict import certify
 from panoexec.planning.make_plan import finished
 from panoexec.planning.model import Certificate, Estimate, Plan, Timing

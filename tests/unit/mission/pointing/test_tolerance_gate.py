@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from panoexec.angles import FloatArray, quaternion_from_rotation, rotation, wrap_180
 from panoexec.devices import AttitudeSample, Quaternion, VehicleAttitude, YawFrame
-from panoexec.mission.pointing.gate import SettleLimits, SettleTracker, Target, judge_window
 from panoexec.mission.pointing.poses import (
     GIMBAL_FAILURES,
     PoseReader,
@@ -22,6 +21,7 @@ from panoexec.mission.pointing.poses import (
     read_pose,
     to_north,
 )
+from panoexec.mission.pointing.tolerance_gate import SettleLimits, SettleTracker, Target, judge_window
 from panoexec.planning.model import Tolerance
 from tests.unit.fakes.devices import FakeFeed
 from tests.unit.fakes.virtual import VirtualClock

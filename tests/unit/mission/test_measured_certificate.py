@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from panoexec.angles import FloatArray, rotation, wrap_180
-from panoexec.mission.verifier import (
+from panoexec.mission.measured_certificate import (
     NO_ROW,
     ThreadedVerifier,
     certify_measured,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from panoexec.devices import PendingCapture
-from panoexec.mission.pointing.gate import WindowVerdict
+from panoexec.mission.pointing.tolerance_gate import WindowVerdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,9 +39,9 @@ class Exposure:
         trigger_utc_s: wall time of each trigger.
         trigger_delay_s: from settled to the first trigger on the wire.
         end_s: until when the attitudes were judged.
-    failure: why not all photos were taken, "" if they were.
+        failure: why not all photos were taken, "" if they were.
         images_before: how many images the camera counted before; -1 where that was not known.
-        broken_off: somebody asked to hold or to end between two photos of a bracket.
+        broken_off: a pause or an end was requested between two photos of a bracket.
     """
 
     captures: tuple[PendingCapture, ...]
