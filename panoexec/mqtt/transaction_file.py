@@ -54,7 +54,7 @@ def open_transaction_file(path: Path) -> sqlite3.Connection:
         raise UsageError(f"{path}: cannot be opened ({error}); give a folder that the service can write") from error
     except sqlite3.DatabaseError as error:
         raise UsageError(
-            f"{path}: damaged ({error}); rename or delete it to start with an empty store; missions are stored elsewhere"
+            f"{path}: damaged ({error}); rename or delete it to start with an empty store; missions are elsewhere"
         ) from error
 
 
