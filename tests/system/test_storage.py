@@ -60,7 +60,7 @@ async def test_a_disk_that_is_full_at_boot_and_in_a_mission(disk: Path, tmp_path
     with running_broker(tmp_path) as broker:
         simulator = running_simulator(SimConfig(port=port, speedup=SPEEDUP))
         async with simulator, ground_station(broker) as ground, serving(tmp_path, broker, port) as process:
-            await ground.until(lambda: ground.status == "online" and "make room" in ground.state.get("reason", ""))
+            await ground.until(lambda: ground.status == "online" and "free space" in ground.state.get("reason", ""))
             await ground.until(lambda: all(link["ok"] for link in ground.state["link"].values()))
             refused = await ground.ask("start", 1, **SMALL)
             assert refused["error"]["code"] == "storage"

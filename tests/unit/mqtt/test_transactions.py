@@ -120,7 +120,7 @@ async def test_says_what_is_wrong_with_the_storage(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"cannot be used"):
         await Transactions.open(tmp_path / "file" / "t.sqlite", boot_id="b")
     (tmp_path / "t.sqlite").write_bytes(b"no database at all" * 100)
-    with pytest.raises(UsageError, match=r"damaged .* move it away"):
+    with pytest.raises(UsageError, match=r"damaged .* rename or delete it"):
         await Transactions.open(tmp_path / "t.sqlite", boot_id="b")
 
 
@@ -132,7 +132,7 @@ async def test_a_disk_that_is_full_may_be_well_again(tmp_path: Path, monkeypatch
 
     with monkeypatch.context() as patch:
         patch.setattr(transaction_file, "_prepared", full)
-        with pytest.raises(StorageDownError, match=r"cannot be written \(database or disk is full\); make room"):
+        with pytest.raises(StorageDownError, match=r"cannot be written \(database or disk is full\); free space"):
             await Transactions.open(tmp_path / "t.sqlite", boot_id="b")
         store = await Transactions.open(tmp_path / "t.sqlite", boot_id="b", patient=True)
         assert "make room" in await store.opened()
