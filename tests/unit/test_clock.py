@@ -12,7 +12,7 @@ from panoexec.clock import SystemClock, VehicleClock, latest_s, work
 
 
 def on_this_loop(clock: VehicleClock) -> None:
-    """Wake sleepers as a timekeeper does."""
+    """Wake sleepers as a simulated clock does."""
     loop = asyncio.get_running_loop()
 
     def told() -> None:

@@ -135,7 +135,7 @@ async def test_a_disk_that_is_full_may_be_well_again(tmp_path: Path, monkeypatch
         with pytest.raises(StorageDownError, match=r"cannot be written \(database or disk is full\); free space"):
             await Transactions.open(tmp_path / "t.sqlite", boot_id="b")
         store = await Transactions.open(tmp_path / "t.sqlite", boot_id="b", patient=True)
-        assert "make room" in await store.opened()
+        assert "free space" in await store.opened()
         with pytest.raises(RefusedRequestError, match="nothing was done") as refused:
             await store.note(a_request())
         assert refused.value.code == "storage"

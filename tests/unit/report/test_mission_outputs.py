@@ -18,7 +18,7 @@ from tests.unit.fakes.world import a_world
 
 @pytest.fixture(name="directory")
 def a_mission(tmp_path: Path) -> MissionDirectory:
-    """Of a complete mission, without its leavings."""
+    """Of a complete mission, without its output files."""
 
     async def fly() -> None:
         async with a_world() as world:
