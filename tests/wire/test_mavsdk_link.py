@@ -97,7 +97,8 @@ async def test_a_reboot_right_after_power_on_is_detected(autopilot: ScriptedPeer
     await eventually(lambda: any(math.isfinite(report.age_s) for report in link.streams.reports()))
     autopilot.reboot()
     await autopilot.until(lambda: {30, 33} <= autopilot.streams.keys(), 10)
-    await eventually(lambda: link.boot_count == 1, 10)
+    await eventually(lambda: link.boot_count, 10)
+    assert link.boot_count == 1
 
 
 async def test_a_lost_link_is_noticed_and_its_return_too(autopilot: ScriptedPeer, link: MavsdkLink) -> None:

@@ -46,6 +46,7 @@ async def test_the_watchdog_is_fed_in_each_period() -> None:
     async with asyncio.timeout(5.0):
         for _ in range(3):
             await notifier.fed.acquire()
+    assert not running.done()
     running.cancel()
 
 
