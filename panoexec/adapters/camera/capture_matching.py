@@ -92,8 +92,14 @@ class CaptureMatcher:
         capture = self._match(report)
         if self._may_be_dated_anew(report, capture):
             self._held.append(report)
+            self._contradict(report)
             return None
         return self._settle(report, capture)
+
+    def _contradict(self, report: Report) -> None:
+        """Mark the triggers that wait for a report: until it is clear whose this one is, none of them is proven."""
+        for waiting in self._open(report):
+            waiting.contradict(_misfit(report))
 
     def _may_be_dated_anew(self, report: Report, capture: Capture | None) -> bool:
         """Whether a trigger waits for a report that fits none, or whose date cannot be true."""
@@ -115,6 +121,9 @@ class CaptureMatcher:
             if self._may_be_dated_anew(again, capture) and now_s - report.evidence.received_s < _HELD_S:
                 self._held.append(report)
             else:
+                for waiting in self._captures:
+                    if waiting.known.contradiction == _misfit(report):
+                        waiting.contradict("")
                 self._settle(again, capture)
 
     def _settle(self, report: Report, capture: Capture | None) -> Capture | None:
@@ -134,8 +143,7 @@ class CaptureMatcher:
         number, index = self._last_match.get(report.source, (-1, -1))
         if number >= 0 and report.index > index:  # the next photo of ours has an index beyond it
             self._last_match[report.source] = (number, report.index)
-        for waiting in self._open(report):
-            waiting.contradict(f"the camera reported photo {report.index}, which fits no trigger")
+        self._contradict(report)
         return None
 
     def counted(self, images: int, received_s: float) -> None:
@@ -229,6 +237,10 @@ class CaptureMatcher:
             return None
         late = report.exposed_s - latest.commanded_s > _LATEST_EXPOSURE_S
         return None if late or report.source in latest.sources else latest
+
+
+def _misfit(report: Report) -> str:
+    return f"the camera reported photo {report.index}, which fits no trigger"
 
 
 def _is_same_photo(first: Report, again: Report) -> bool:

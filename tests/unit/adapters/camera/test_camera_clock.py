@@ -136,6 +136,26 @@ def test_every_report_finds_its_own_trigger_or_none(
         assert len(named) >= 147
 
 
+def test_a_contradiction_ends_when_the_report_finds_its_trigger() -> None:
+    clock = CameraClock()
+    for sent_s in (0.0, 4.0, 8.0):
+        clock.note(sent_s, sent_s + 0.01)
+    matcher = CaptureMatcher(clock)
+    captures = [Capture(number, clock=VirtualClock()) for number in (1, 2)]
+    for capture, commanded_s in zip(captures, (10.0, 12.0), strict=True):
+        capture.commanded(commanded_s)
+        matcher.enter(capture)
+    # the camera's clock was stepped back by 5 s before the second photo
+    evidence = CaptureEvidence(level=CAPTURED, received_s=12.4, image_index=2, exposed_vehicle_s=7.1)
+    assert matcher.report(dated(Report(source=Source.CAPTURED, evidence=evidence), *clock.date(7.1, 12.4))) is None
+    assert [capture.contradicted for capture in captures] == [True, True]
+    for sent_s in (12.5, 12.6):
+        clock.note(sent_s - 5.0, sent_s + 0.01)
+    matcher.redate(12.7)
+    assert captures[1].known.image_index == 2
+    assert [capture.contradicted for capture in captures] == [False, False]
+
+
 def test_a_contradiction_is_never_resolved_by_a_count() -> None:
     """A report that was exposed before its trigger, and nothing tells why: neither it nor the count proves the shot."""
     clock = CameraClock()
@@ -150,6 +170,7 @@ def test_a_contradiction_is_never_resolved_by_a_count() -> None:
     assert matcher.report(dated(Report(source=Source.CAPTURED, evidence=evidence), *clock.date(8.5, 10.4))) is None
     matcher.counted(11, 10.5)
     assert capture.known.level is EvidenceLevel.COMMANDED  # the report is held, the camera is asked
+    assert capture.contradicted  # whatever evidence is asked for, it is not accepted meanwhile
     matcher.redate(14.0)
     assert capture.contradicted
     assert "photo 5" in capture.known.contradiction
