@@ -5,7 +5,7 @@ BIN     := $(VENV)/bin
 ARGS    ?=
 WORKERS ?= 4
 
-.PHONY: dry-run experiment test check format bench deb install uninstall clean help
+.PHONY: dry-run experiment test test-all check format bench deb release lock audit install uninstall clean help
 
 help:            ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
@@ -20,6 +20,10 @@ experiment: $(VENV)/.sim  ## reproduce the paper's simulation (installs hugin-to
 test: $(VENV)/.dev        ## run the tests (installs mosquitto if missing)
 	@.ci/setup tests
 	$(BIN)/pytest -n $(WORKERS) --dist loadfile $(ARGS)
+
+test-all: $(VENV)/.dev    ## run every test and campaign that this machine can (hours; ARDUPILOT_SITL, PX4_SITL name autopilots)
+	@.ci/setup tests hugin chromium
+	@.ci/campaigns $(BIN) $(ARGS)
 
 check: $(VENV)/.dev       ## check lint, formatting, types and import layers
 	$(BIN)/ruff check .
@@ -37,6 +41,15 @@ bench: $(VENV)/.dev       ## run the benchmarks (speed and memory)
 deb: $(VENV)/bin/python   ## build dist/panoexec_VERSION_ARCH.deb for this Debian release and architecture
 	@.ci/setup deb
 	@packaging/deb $(BIN)/python
+
+release: $(VENV)/.release deb ## package, bill of materials, checksums and their signature in dist/ (KEY=ID of the signing key)
+	@packaging/release $(BIN)/python $(KEY)
+
+lock: $(VENV)/.release    ## lock again what the package ships (ARGS=--upgrade: newest versions)
+	@packaging/lock $(BIN)/uv $(ARGS)
+
+audit: $(VENV)/.release   ## look up known vulnerabilities of what the package ships
+	$(BIN)/pip-audit --strict --require-hashes --disable-pip --requirement packaging/requirements.lock $(ARGS)
 
 install: $(VENV)/bin/python ## install or upgrade without a package, on this machine or into DESTDIR
 	@if [ -n "$(DESTDIR)" ]; then packaging/stage $(BIN)/python "$(DESTDIR)"; else packaging/install $(BIN)/python; fi
@@ -58,3 +71,7 @@ $(VENV)/.sim: pyproject.toml | $(VENV)/bin/python
 $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@ $(VENV)/.sim
+
+$(VENV)/.release: pyproject.toml | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[release]'
+	@touch $@

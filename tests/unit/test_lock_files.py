@@ -1,0 +1,59 @@
+"""What the package ships is locked by version and hash, and the lock fits what pyproject.toml asks for."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from tests.repository import ROOT
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+SHIPPED = [*PROJECT["project"]["dependencies"], *PROJECT["project"]["optional-dependencies"]["service"]]
+BACKEND = PROJECT["build-system"]["requires"]
+HASH = re.compile(r"--hash=sha256:[0-9a-f]{64}")
+
+
+def _locked(name: str) -> dict[str, list[tuple[Requirement, int]]]:
+    """By package: what is locked (one entry a Python version where they differ) and the number of its hashes."""
+    entries = re.split(r"\n(?=[A-Za-z0-9])", (ROOT / "packaging" / name).read_text())
+    locked: dict[str, list[tuple[Requirement, int]]] = {}
+    for entry in entries:
+        requirement = Requirement(entry.split("\\")[0].strip())
+        locked.setdefault(canonicalize_name(requirement.name), []).append((requirement, len(HASH.findall(entry))))
+    return locked
+
+
+@pytest.mark.parametrize("name", ["requirements.lock", "build.lock"])
+def test_each_entry_is_one_version_with_a_hash(name: str) -> None:
+    for package, entries in _locked(name).items():
+        for requirement, hashes in entries:
+            assert [specifier.operator for specifier in requirement.specifier] == ["=="], package
+            assert hashes >= 1, package
+
+
+@pytest.mark.parametrize("name", ["requirements.lock", "build.lock"])
+def test_a_lock_names_no_index(name: str) -> None:
+    text = (ROOT / "packaging" / name).read_text()
+    assert "://" not in text
+    assert "--index-url" not in text
+    assert "--find-links" not in text
+
+
+@pytest.mark.parametrize(("name", "wanted"), [("requirements.lock", SHIPPED), ("build.lock", BACKEND)])
+def test_what_is_asked_for_is_locked_in_its_range(name: str, wanted: list[str]) -> None:
+    locked = _locked(name)
+    for text in wanted:
+        asked = Requirement(text)
+        entries = locked[canonicalize_name(asked.name)]
+        for requirement, _ in entries:
+            version = next(iter(requirement.specifier)).version
+            assert asked.specifier.contains(version), f"{text}: {version} is locked (make lock)"
+
+
+def test_the_backend_is_locked_as_it_is_asked_for() -> None:
+    lines = (ROOT / "packaging" / "build.in").read_text().splitlines()
+    assert [line for line in lines if line and not line.startswith("#")] == BACKEND
