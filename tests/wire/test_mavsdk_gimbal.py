@@ -10,7 +10,8 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from panoexec.adapters.gimbal.mavsdk_gimbal import Feedback, MavsdkGimbal
+from panoexec.adapters.gimbal.feedback_kind import Feedback
+from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.clock import SystemClock
 from panoexec.devices import Gimbal, YawFrame

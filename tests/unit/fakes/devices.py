@@ -15,6 +15,7 @@ from panoexec.devices import (
     AttitudeSample,
     CaptureEvidence,
     EvidenceLevel,
+    GimbalKnowledge,
     Quaternion,
     RecalledPhoto,
     RecalledPhotos,
@@ -139,6 +140,7 @@ class FakeGimbal:
     commands: list[tuple[float, float, float]] = field(default_factory=list)
     nose: Callable[[float], float] | None = None
     """Heading of the vehicle at a time: the camera looks there when told no yaw, and its pan range is about it."""
+    known: GimbalKnowledge = field(default_factory=GimbalKnowledge)
     _follows: bool = False
     _under_way: deque[AttitudeSample] = field(default_factory=deque)
     acquired: int = 0
