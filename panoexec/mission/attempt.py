@@ -42,6 +42,10 @@ REFUSED_TRIGGER_DELAY_S = 0.5
 """Delay after a refused trigger, unless the camera's interval is shorter."""
 LATE_SAMPLES_S = 0.5
 """How long to wait for delayed attitude samples of an exposure."""
+FRESH_REPORT_S = 0.15
+"""Reports that show a slew within this time of its command are of the moment."""
+OLDEST_REPORT_S = 0.6
+"""Reports are not taken for older; a slow gimbal delays what they show, too."""
 BEFORE_SLEW_S = 1.5
 """Samples of so long before a slew are read, to know where it began: idle streams come once a second."""
 LAST_SLEEP_S = 0.05
@@ -166,6 +170,15 @@ class Shooter:
             at_rest = error_at_rest(readings, pitch_deg=shot.pitch_deg, yaw_deg=yaw_deg)
             self.steady_error.failed(at_rest, pitch_deg=shot.pitch_deg, yaw_deg=yaw_deg)
 
+    @property
+    def report_age_s(self) -> float:
+        """How old the gimbal's reports may be, by its slews; 0 if they are of the moment.
+
+        What happened during an exposure is seen in the reports of so much later.
+        """
+        delay_s = self.echo.delay_s
+        return min(delay_s, OLDEST_REPORT_S) if delay_s > FRESH_REPORT_S else 0.0
+
     def _gap_s(self) -> float:
         """The longest gap between samples that an exposure may have."""
         return allowed_gap_s(self.poses.interval_s, max_gap_s=self.settings.max_gap_s)
@@ -205,6 +218,8 @@ class Shooter:
             end_s = await self._exposure_end(capture)
         if not captures:
             return NotSettled(code="trigger", reason=failure)
+        if not self.open_loop:
+            await self.clock.sleep(self.report_age_s)
         return Exposure(
             captures=tuple(captures),
             verdict=await self._judged(shot, captures[0].commanded_s, end_s),
@@ -257,6 +272,7 @@ class Shooter:
 
     async def _judged(self, shot: Shot, start_s: float, end_s: float) -> WindowVerdict:
         """The verdict on an exposure; waits briefly for samples that are delayed on a busy computer."""
+        end_s += self.report_age_s
         verdict = self._judge(shot, start_s, end_s)
         if verdict.code != "no_samples":
             return verdict

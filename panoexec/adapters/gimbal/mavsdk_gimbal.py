@@ -19,6 +19,7 @@ from panoexec.adapters.gimbal.device_rate import DeviceRate
 from panoexec.adapters.gimbal.feedback_kind import FRAMES, Feedback, echo_by_parameters
 from panoexec.adapters.gimbal.gimbal_choice import Candidate, in_order
 from panoexec.adapters.gimbal.gimbal_reports import GimbalReports
+from panoexec.adapters.gimbal.north_trim import NorthTrim
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.message_hub import MavMessage
 from panoexec.adapters.link.stream_keeper import AUTOPILOT
@@ -83,6 +84,7 @@ class MavsdkGimbal:
             link, known=self._known, frame=FRAMES.get(feedback) if feedback else None, device=device
         )
         self._rate = DeviceRate(link, self._reports)
+        self._north = NorthTrim(self._known)
         self._found: GimbalFound | None = None
         self._limits: dict[tuple[int, int], GimbalLimits | None] = {}
         self._control: dict[int, ControlStatus] = {}
@@ -247,6 +249,8 @@ class MavsdkGimbal:
                     self._status_came.clear()
                     await self._status_came.wait()
         except TimeoutError as error:
+            if self.in_control:  # the answer to our question was lost, not the confirmation
+                return
             holder = self.controlled_by
             named = "no primary control" if holder is None else "system {} component {}".format(*holder)
             raise DeviceError(
@@ -258,12 +262,17 @@ class MavsdkGimbal:
         if not (math.isfinite(pitch_deg) and (yaw_deg is None or math.isfinite(yaw_deg))):
             raise ValueError(f"cannot point at pitch {pitch_deg}, yaw {yaw_deg}")
         gimbal = await self.discover()
+        send_deg = 0.0
+        if yaw_deg is not None:
+            self.feed.ingest()
+            now_s = self._link.clock.monotonic()
+            send_deg = self._north.command(pitch_deg, yaw_deg, newest=self.feed.latest, now_s=now_s)
         set_angles = partial(
             self._link.requests.plugin(Gimbal).set_angles,
             gimbal.gimbal_id,
             0.0,
             pitch_deg,
-            0.0 if yaw_deg is None else (yaw_deg + 180.0) % 360.0 - 180.0,
+            (send_deg + 180.0) % 360.0 - 180.0,
             GimbalMode.YAW_FOLLOW if yaw_deg is None else GimbalMode.YAW_LOCK,
             SendMode.ONCE,
         )

@@ -27,6 +27,8 @@ _SAME_DEG: Final = 0.2
 """Errors of two poses that differ by less (or by a third of them) have the same cause."""
 _POSES_APART_DEG: Final = 3.0
 _POSES: Final = 2
+MOST_TRIMMED_DEG: Final = 5.0
+"""A larger steady error is a fault, not an inaccuracy."""
 
 
 def describe(steady: SteadyError) -> str:
@@ -102,6 +104,11 @@ def cannot_hold(steady: SteadyError, tolerance: Tolerance) -> str:
         return ""
     has = ", ".join(f"{name} = {limit:g}" for name, limit, _ in keys)
     needs = ", ".join(f"{name} = {value:g}" for name, _, value in keys)
+    if max(map(abs, steady.mean_deg)) > MOST_TRIMMED_DEG:
+        return (
+            f"the gimbal comes to rest {describe(steady)} beside its commands, at every pose: calibrate it (its compass"
+            " or its mounting), no tolerance mends that"
+        )
     return (
         f"the gimbal comes to rest with a steady error of {describe(steady)}: it cannot hold {has}; set"
         f" [pointing] {needs} or more, or trim the gimbal"
