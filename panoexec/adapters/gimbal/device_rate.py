@@ -37,7 +37,7 @@ class DeviceRate:
     def begin(self) -> None:
         """Measure the rate in the background, and ask the gimbal if it is low."""
         if self._task is None or self._task.done():
-            self._task = asyncio.create_task(self._raise(), name="rate of the gimbal's reports")
+            self._task = asyncio.create_task(self.ask(), name="rate of the gimbal's reports")
 
     async def stop(self) -> None:
         """End the background task."""
@@ -54,7 +54,8 @@ class DeviceRate:
             with contextlib.suppress(DeviceError):
                 await self._link.requests.command(SET_MESSAGE_INTERVAL, [ATTITUDE_STATUS, 0], component=component)
 
-    async def _raise(self) -> None:
+    async def ask(self) -> None:
+        """Measure the rate, and ask the gimbal if it is low; takes a second or two of the mission's clock."""
         for _ in range(_TRIES):
             await self._link.clock.sleep(_MEASURE_S)
             component, rate_hz = self._reports.buffer.pinned, self._reports.rate_hz()

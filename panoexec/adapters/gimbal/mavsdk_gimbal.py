@@ -257,6 +257,10 @@ class MavsdkGimbal:
                 f"taking control of the gimbal: accepted, but its manager reports {named} after {_TAKE_S:g} s"
             ) from error
 
+    async def ask_rate(self) -> None:
+        """Ask the gimbal itself for its attitude at full rate if it is sent at a lower one; needs a pinned source."""
+        await self._rate.ask()
+
     async def point(self, pitch_deg: float, yaw_deg: float | None) -> None:
         """See `Gimbal.point`."""
         if not (math.isfinite(pitch_deg) and (yaw_deg is None or math.isfinite(yaw_deg))):
