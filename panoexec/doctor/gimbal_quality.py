@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from panoexec.angles import FloatArray, rotation_from_quaternion, yaw_pitch_roll
-from panoexec.devices import AttitudeSample
+from panoexec.devices import AttitudeSample, YawFrame
 from panoexec.inputs.config import PointingSection
 from panoexec.mission.pointing.tolerance_gate import DENSE_GAP_S, SPARSE_INTERVALS
 
@@ -50,7 +50,7 @@ class ReportQuality:
         """For display."""
         told = f"{self.hz:.0f} Hz"
         if self.repeats and math.isnan(self.fresh_hz):
-            told += ", all equal: coarse steps, or not measured"
+            told += ", but they repeat: all are equal (coarse steps, or not measured)"
         elif self.repeats:
             told += f", but they repeat: renewed at about {self.fresh_hz:.0f} Hz"
         steps = f", steps of {self.step_deg:.2g}°" if self.step_deg else ""
@@ -87,9 +87,10 @@ def measured(samples: Sequence[AttitudeSample]) -> ReportQuality | None:
     if len(usable) < LEAST_SAMPLES or usable[-1].received_s <= usable[0].received_s:
         return None
     times = np.array([one.received_s for one in usable])
-    _, pitch, roll = yaw_pitch_roll(rotation_from_quaternion(np.array([one.q_wxyz for one in usable])))
-    # pitch and roll alone: where the vehicle's heading is composed into the yaw, that never repeats
-    angles = np.stack([pitch, roll], axis=1)
+    yaw, pitch, roll = yaw_pitch_roll(rotation_from_quaternion(np.array([one.q_wxyz for one in usable])))
+    # a yaw from north may have the vehicle's heading composed into it: then it never repeats
+    relative = all(one.yaw_frame is not YawFrame.EARTH for one in usable)
+    angles = np.stack([pitch, roll, yaw] if relative else [pitch, roll], axis=1)
     changes = np.flatnonzero(np.any(np.abs(np.diff(angles, axis=0)) > 1e-4, axis=1)) + 1
     between = np.diff(times[changes])
     return ReportQuality(
@@ -97,12 +98,12 @@ def measured(samples: Sequence[AttitudeSample]) -> ReportQuality | None:
         fresh_hz=1 / float(np.percentile(between, 20)) if len(between) else math.nan,
         repeats_frac=1 - len(changes) / (len(usable) - 1),
         step_deg=_step(angles),
-        noise_deg=max(float(np.std(_detrended(times, values))) for values in angles.T),
+        noise_deg=max(float(np.std(_detrended(times, values))) for values in angles.T[:2]),
     )
 
 
 def _step(angles: FloatArray) -> float:
-    """The step of which all differences of angles (n, 2) are whole numbers; 0 if there is none."""
+    """The step of which all differences of angles (n, k) are whole numbers; 0 if there is none."""
     differences = np.abs(np.concatenate([np.diff(np.unique(np.round(values, 4))) for values in angles.T]))
     if not len(differences):
         return 0.0

@@ -44,6 +44,8 @@ LATE_SAMPLES_S = 0.5
 """How long to wait for delayed attitude samples of an exposure."""
 FRESH_REPORT_S = 0.15
 """Reports that show a slew within this time of its command are of the moment."""
+REPORT_MARGIN_S = 0.1
+"""Reports may be so much older than a slew showed: they are renewed ten times a second."""
 OLDEST_REPORT_S = 0.6
 """Reports are not taken for older; a slow gimbal delays what they show, too."""
 BEFORE_SLEW_S = 1.5
@@ -177,7 +179,7 @@ class Shooter:
         What happened during an exposure is seen in the reports of so much later.
         """
         delay_s = self.echo.delay_s
-        return min(delay_s, OLDEST_REPORT_S) if delay_s > FRESH_REPORT_S else 0.0
+        return min(delay_s + REPORT_MARGIN_S, OLDEST_REPORT_S) if delay_s > FRESH_REPORT_S else 0.0
 
     def _gap_s(self) -> float:
         """The longest gap between samples that an exposure may have."""

@@ -32,8 +32,11 @@ EXACT_DEG: Final = 1e-3
 """Reports within this angle of the target equal it: single precision leaves 1e-5 to 1e-4°."""
 EXACT_POSES: Final = 4
 """At so many poses in a row a moving echo is recognised by its exactness."""
-MOVED_DEG: Final = 0.3
-"""A report that is so far from the start of a slew shows motion."""
+MOVED_DEG: Final = 1.0
+"""A report that is so much nearer to the target shows motion; the sway of a hovering vehicle is less."""
+STARTS_DEG_S2: Final = 240.0
+"""Acceleration at which a gimbal is taken to start."""
+_DELAYS: Final = 9
 _BESIDE_FRAC: Final = 0.15
 """Within this fraction of a slew, a report is beside its start or its target."""
 _MIDDLE_FRAC: Final = 1.0 - math.sqrt(2 * _BESIDE_FRAC)
@@ -62,9 +65,7 @@ class EchoWatch:
     def __init__(self, reason: str = "") -> None:
         self.reason = reason
         """Why the reports are an echo; "" as long as they are not known to be one."""
-        self.delay_s = math.nan
-        """The shortest time from a command to the first report of its motion, which is no less than the age of the
-        reports; NaN before a slew showed it."""
+        self._delays: list[float] = []
         self._jumps = 0
         self._moves = 0
         self._exact: list[FloatArray] = []
@@ -73,6 +74,14 @@ class EchoWatch:
     def has_moved(self) -> bool:
         """Whether a slew has shown the gimbal on its way, as only a measurement (or a simulated one) does."""
         return self._moves > 0
+
+    @property
+    def delay_s(self) -> float:
+        """Time from a command to the first report of its motion, the median of the slews so far; NaN before the first.
+
+        The time that the motion itself takes is taken off; what is left is latency of commands and age of reports.
+        """
+        return sorted(self._delays)[len(self._delays) // 2] if self._delays else math.nan
 
     def slew(
         self,
@@ -104,7 +113,7 @@ class EchoWatch:
         target = rotation(yaw_deg, pitch_deg)
         to_target = _angles(poses, target)
         from_start = _angles(poses, poses[0])
-        self._note_delay(times, from_start, to_target, commanded_s)
+        self._note_delay(times, to_target, commanded_s)
         self._note_exact(target, exact=bool(to_target[-1] <= EXACT_DEG) and not yaw_follows)
         pitches = np.degrees(np.arcsin(np.clip(-poses[:, 2, 0], -1.0, 1.0)))
         slews = [_judged(times, abs(pitches - pitches[0]), abs(pitches - pitch_deg), exact=EXACT_DEG)]
@@ -112,11 +121,12 @@ class EchoWatch:
             slews.append(_judged(times, from_start, to_target, exact=EXACT_DEG))
         self._count(slews)
 
-    def _note_delay(self, times: FloatArray, from_start: FloatArray, to_target: FloatArray, commanded_s: float) -> None:
-        moved = np.flatnonzero((from_start > MOVED_DEG) & (times > commanded_s))
-        if to_target[0] >= LEAST_SLEW_DEG and len(moved):
-            delay_s = float(times[moved[0]]) - commanded_s
-            self.delay_s = delay_s if math.isnan(self.delay_s) else min(self.delay_s, delay_s)
+    def _note_delay(self, times: FloatArray, to_target: FloatArray, commanded_s: float) -> None:
+        nearer = np.flatnonzero((to_target < to_target[0] - MOVED_DEG) & (times > commanded_s))
+        if to_target[0] >= LEAST_SLEW_DEG and len(nearer):
+            travel_s = math.sqrt(2 * MOVED_DEG / STARTS_DEG_S2)
+            self._delays.append(max(float(times[nearer[0]]) - commanded_s - travel_s, 0.0))
+            del self._delays[:-_DELAYS]
 
     def _note_exact(self, target: FloatArray, *, exact: bool) -> None:
         if not exact:
