@@ -44,6 +44,8 @@ LATE_SAMPLES_S = 0.5
 """How long to wait for delayed attitude samples of an exposure."""
 FRESH_REPORT_S = 0.15
 """Reports that show a slew within this time of its command are of the moment."""
+HELD_REPORT_S = 0.4
+"""Reports that repeat are taken for so old before a slew has shown it."""
 REPORT_MARGIN_S = 0.1
 """Reports may be so much older than a slew showed: they are renewed ten times a second."""
 OLDEST_REPORT_S = 0.6
@@ -179,6 +181,8 @@ class Shooter:
         What happened during an exposure is seen in the reports of so much later.
         """
         delay_s = self.echo.delay_s
+        if math.isnan(delay_s):
+            return HELD_REPORT_S if self.poses.holds else 0.0
         return min(delay_s + REPORT_MARGIN_S, OLDEST_REPORT_S) if delay_s > FRESH_REPORT_S else 0.0
 
     def _gap_s(self) -> float:

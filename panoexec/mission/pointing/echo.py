@@ -32,6 +32,8 @@ EXACT_DEG: Final = 1e-3
 """Reports within this angle of the target equal it: single precision leaves 1e-5 to 1e-4°."""
 EXACT_POSES: Final = 4
 """At so many poses in a row a moving echo is recognised by its exactness."""
+LEAST_TIMED_DEG: Final = 4.0
+"""Shorter slews do not tell the age of reports."""
 MOVED_DEG: Final = 1.0
 """A report that is so much nearer to the target shows motion; the sway of a hovering vehicle is less."""
 STARTS_DEG_S2: Final = 240.0
@@ -123,7 +125,7 @@ class EchoWatch:
 
     def _note_delay(self, times: FloatArray, to_target: FloatArray, commanded_s: float) -> None:
         nearer = np.flatnonzero((to_target < to_target[0] - MOVED_DEG) & (times > commanded_s))
-        if to_target[0] >= LEAST_SLEW_DEG and len(nearer):
+        if to_target[0] >= LEAST_TIMED_DEG and len(nearer):
             travel_s = math.sqrt(2 * MOVED_DEG / STARTS_DEG_S2)
             self._delays.append(max(float(times[nearer[0]]) - commanded_s - travel_s, 0.0))
             del self._delays[:-_DELAYS]

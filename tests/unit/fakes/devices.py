@@ -127,6 +127,8 @@ class FakeGimbal:
     frozen: bool = False
     nan: bool = False
     stuck: bool = False
+    echoes: bool = False
+    """Whether it reports where it was told to look, instead of where it looks."""
     refusals: int = 0
     refuse_control: int = 0
     failure_flags: int = 0
@@ -172,7 +174,7 @@ class FakeGimbal:
         return yaw, pitch, 0.0
 
     def _angles(self, at_s: float) -> Angles:
-        yaw, pitch, roll = self.commanded(at_s)
+        yaw, pitch, roll = self._end if self.echoes else self.commanded(at_s)
         if self.drift is None:
             return yaw, pitch, roll
         d = self.drift(at_s)
