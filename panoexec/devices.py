@@ -8,7 +8,7 @@ Adapters implement these protocols (`panoexec.adapters`); the executor and the t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import Protocol, TypeAlias
 
@@ -199,12 +199,57 @@ class AttitudeFeed(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class SteadyError:
+    """Where a gimbal came to rest beside its commands: errors about its pitch, roll and yaw axis, degrees.
+
+    Attributes:
+        mean_deg: mean errors of pitch, roll and yaw.
+        hold_deg: the tolerances of pitch, roll and yaw that all its reports at rest are within.
+    """
+
+    mean_deg: tuple[float, float, float]
+    hold_deg: tuple[float, float, float]
+
+
+@dataclass(slots=True, kw_only=True)
+class GimbalKnowledge:
+    """What is known of a gimbal; kept as long as its link, over several missions.
+
+    Attributes:
+        manager: MAVLink component of its manager; 0 before it is known.
+        device: MAVLink component whose attitude counts; 0 before one was chosen.
+        device_id: its gimbal device id (1 to 6: driven by the autopilot itself).
+        feedback: the kind of its reports: `earth`, `vehicle`, `body` or `none`; "" before it is known.
+        echo: why its reports repeat the command instead of measuring; "" as long as nothing says so.
+        steady_error: where it came to rest beside its commands; None: not seen.
+        strangers: components that told attitudes and are ignored.
+        north_off_deg: the vehicle's heading as the gimbal tells it minus that of the autopilot; NaN: not told.
+        north_corrected: whether its reports are corrected by that difference.
+    """
+
+    manager: int = 0
+    device: int = 0
+    device_id: int = 0
+    feedback: str = ""
+    echo: str = ""
+    steady_error: SteadyError | None = None
+    strangers: set[int] = field(default_factory=set)
+    north_off_deg: float = float("nan")
+    north_corrected: bool = False
+
+
 class Gimbal(Protocol):
     """A gimbal. An accepted command does not mean that the pose was reached: that shows the feed."""
 
     @property
     def feed(self) -> AttitudeFeed:
         """Its attitude reports."""
+        ...
+
+    @property
+    def known(self) -> GimbalKnowledge:
+        """What is known of it; missions add to it what they observe."""
         ...
 
     @property

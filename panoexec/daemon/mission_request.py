@@ -76,6 +76,7 @@ def settings_of(config: Config, spec: PlanSpec) -> MissionSettings:
         tolerance=spec.constraints.tolerance,
         settle_s=pointing.settle_s,
         max_rate_deg_s=pointing.max_rate_deg_s,
+        max_gap_s=pointing.max_gap_s,
         patience_s=pointing.settle_timeout_s,
         attempts=pointing.attempts,
         exposure_s=spec.timing.exposure_s,

@@ -122,7 +122,7 @@ class VehicleLink:
     async def _hold(self) -> None:
         """One link, until it fails permanently."""
         section = self._config.vehicle
-        feedback = self._config.gimbal.feedback
+        chosen = self._config.gimbal
         url = await asyncio.to_thread(connection_of, section)
         # idle streams are checked once per second of real time, which is a long silence at a speed-up
         throttling = getattr(self._clock, "speedup", 1.0) <= 1.0
@@ -134,7 +134,12 @@ class VehicleLink:
             await stack.enter_async_context(link)
             self._link = link
             self._gimbal = await stack.enter_async_context(
-                MavsdkGimbal(link, feedback=None if feedback == "auto" else feedback)
+                MavsdkGimbal(
+                    link,
+                    feedback=None if chosen.feedback == "auto" else chosen.feedback,
+                    manager=chosen.manager,
+                    device=chosen.device,
+                )
             )
             self._vehicle = await stack.enter_async_context(MavsdkVehicle(link))
             await self._find(link, self._gimbal)

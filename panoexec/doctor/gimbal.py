@@ -6,14 +6,18 @@ import asyncio
 from dataclasses import replace
 from typing import Final
 
+from panoexec.adapters.gimbal.gimbal_choice import in_order
 from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
+from panoexec.adapters.link.stream_keeper import AUTOPILOT
 from panoexec.doctor.advice import advise
 from panoexec.doctor.findings import Findings
+from panoexec.doctor.gimbal_quality import measured
 from panoexec.errors import DeviceError, PanoexecError
 from panoexec.inputs.camera_profiles import configured_profile
 from panoexec.inputs.config import Config
 from panoexec.inputs.plan_options import configured_gimbal, configured_spec
+from panoexec.mission.pointing.steady_error import cannot_hold
 from panoexec.mission.preflight import attitude_problems, effective_limits, limit_problems
 from panoexec.planning.model import GimbalLimits
 
@@ -21,7 +25,7 @@ _PARAMETERS: Final = {"ardupilot": ("MNT1_TYPE",), "px4": ("MNT_MODE_IN", "MNT_M
 _KINDS: Final = {
     "earth": "measured, relative to the earth",
     "vehicle": "measured, relative to the vehicle's heading",
-    "body": "demanded servo angles, not measured",
+    "body": "relative to the airframe, as configured",
     "none": "the commanded angles, not measured",
 }
 
@@ -46,10 +50,33 @@ async def check_gimbal(
         "found",
         f"{name}, manager {found.manager_component}, device {found.device_id}{f', {set_now}' if set_now else ''}",
     )
+    _list_gimbals(gimbal, config, findings)
     _examine_limits(gimbal, config, findings)
     _examine_feedback(gimbal, link, config, findings)
     await _examine_plan(gimbal, config, findings)
     return True
+
+
+def _list_gimbals(gimbal: MavsdkGimbal, config: Config, findings: Findings) -> None:
+    """Every gimbal that a manager offers, and every component that tells an attitude, with what was chosen."""
+    found = gimbal.found
+    assert found is not None
+    for one in gimbal.candidates:
+        limits = gimbal.limits_of(one.manager, one.device_id)
+        chosen = one.gimbal_id == found.gimbal_id
+        usable = in_order([one], manager=config.gimbal.manager, device=config.gimbal.device)
+        role = "used" if chosen else "not chosen" if usable else "excluded by [gimbal] manager or device"
+        text = f"{one.describe()}: {role}; {'limits not told' if limits is None else _range(limits)}"
+        findings.note("gimbal", "offered", text)
+    try:
+        source = gimbal.reports.pin(found.device_id)
+    except DeviceError as error:
+        findings.missing("gimbal", "source", str(error), needed="the attitude of the gimbal that is pointed")
+        return
+    others = sorted({*gimbal.reports.heard(), *gimbal.known.strangers} - {source})
+    own = "the autopilot's reports" if source == AUTOPILOT else f"reports of component {source}"
+    beside = f"; ignored: component {', '.join(map(str, others))}" if others else ""
+    findings.ok("gimbal", "source", f"{own}{beside}")
 
 
 async def _parameters(link: MavsdkLink, autopilot: str) -> str:
@@ -100,13 +127,14 @@ def _range(limits: GimbalLimits) -> str:
 
 def _examine_feedback(gimbal: MavsdkGimbal, link: MavsdkLink, config: Config, findings: Findings) -> None:
     assert gimbal.found is not None
-    kind = gimbal.found.feedback
-    text, advice = f"{kind}: {_KINDS[kind]}", advise("feedback", findings.autopilot)
+    kind = "none" if gimbal.known.echo else gimbal.found.feedback
+    why = f" ({gimbal.known.echo})" if gimbal.known.echo else ""
+    text, advice = f"{kind}: {_KINDS[kind]}{why}", advise("feedback", findings.autopilot)
     if kind in ("earth", "vehicle"):
         findings.ok("gimbal", "feedback", text)
     elif kind == "body":
         findings.warning(
-            "gimbal", "feedback", text, needed="measured angles: the pointing error is unknown", advice=advice
+            "gimbal", "feedback", text, needed="measured angles: servos report what is demanded", advice=advice
         )
     elif config.gimbal.feedback == "none":
         findings.warning(
@@ -154,6 +182,41 @@ async def _examine_plan(gimbal: MavsdkGimbal, config: Config, findings: Findings
         findings.warning("mission", "plan", f"{text}, not certified", advice="panoexec plan gives the reasons")
     else:
         findings.ok("mission", "plan", f"{text}, certified, all within the gimbal's limits")
+
+
+async def check_reports(gimbal: MavsdkGimbal, config: Config, findings: Findings, *, since_s: float) -> None:
+    """Examine rate, steps and noise of the reports since a time, and what is known of gimbal and north.
+
+    Args:
+        gimbal: found, and reporting at the rates of a mission.
+        config: the daemon's configuration.
+        findings: results are added to it.
+        since_s: on the mission's clock.
+    """
+    gimbal.feed.ingest()
+    quality = measured(gimbal.feed.since(since_s))
+    if quality is None:
+        return  # too few: the check of the rates says so
+    settings = quality.settings(config.pointing)
+    if settings and config.gimbal.feedback != "none":
+        advice = f"[pointing] {', '.join(settings)}"
+        needed = "tolerances and times that these reports can prove"
+        findings.warning("gimbal", "reports", quality.text(), needed=needed, advice=advice)
+    else:
+        findings.ok("gimbal", "reports", quality.text())
+    known = gimbal.known
+    if known.steady_error is not None:
+        why = cannot_hold(known.steady_error, configured_spec(config, configured_profile(config)).constraints.tolerance)
+        if why:
+            findings.missing("gimbal", "steady error", why, needed="tolerances that it can hold")
+    if abs(known.north_off_deg) > config.pointing.tolerance_yaw_deg:
+        findings.warning(
+            "gimbal",
+            "north",
+            f"{known.north_off_deg:+.1f}° from that of the autopilot; its reports are corrected by it",
+            needed=f"the same north within {config.pointing.tolerance_yaw_deg:g}°",
+            advice="calibrate the gimbal's compass",
+        )
 
 
 async def check_control(gimbal: MavsdkGimbal, findings: Findings) -> None:

@@ -19,7 +19,7 @@ from panoexec.clock import Clock
 from panoexec.doctor.advice import advise
 from panoexec.doctor.camera import check_camera
 from panoexec.doctor.findings import Findings
-from panoexec.doctor.gimbal import check_control, check_gimbal
+from panoexec.doctor.gimbal import check_control, check_gimbal, check_reports
 from panoexec.doctor.message_rates import MessageRates, Rate
 from panoexec.errors import DeviceError, LinkError
 from panoexec.inputs.config import Config
@@ -27,7 +27,7 @@ from panoexec.inputs.config import Config
 _MEASURE_S: Final = 4.0
 _SETTLE_S: Final = 1.5
 _ENOUGH: Final = 0.8
-_GIMBAL_LEAST_HZ: Final = 10.0
+_GIMBAL_LEAST_HZ: Final = 4.0
 _CLOCK_APART_S: Final = 2.0
 _SYSTEM_TIME: Final = 2
 _AUTOPILOT_VERSION: Final = 148
@@ -66,8 +66,13 @@ async def check_vehicle(
                 MavsdkLink(url, clock=clock, component_id=config.vehicle.component_id)
             )
             findings.ok("link", "port", str(url))
-            feedback = config.gimbal.feedback
-            gimbal = MavsdkGimbal(link, feedback=None if feedback == "auto" else feedback)
+            section = config.gimbal
+            gimbal = MavsdkGimbal(
+                link,
+                feedback=None if section.feedback == "auto" else section.feedback,
+                manager=section.manager,
+                device=section.device,
+            )
             await stack.enter_async_context(gimbal)
             vehicle = await stack.enter_async_context(MavsdkVehicle(link))
             if not await _examine_link(link, findings, patience_s=patience_s):
@@ -75,7 +80,9 @@ async def check_vehicle(
                     findings.note(area, "not examined", "no autopilot found")
                 return
             there = await check_gimbal(gimbal, link, config, findings, patience_s=patience_s)
-            await _examine_rates(link, findings, earth=there and gimbal_is_earth(gimbal))
+            await _examine_rates(link, findings, gimbal if there else None)
+            if there:
+                await check_reports(gimbal, config, findings, since_s=clock.monotonic() - _MEASURE_S)
             _examine_components(link, findings)
             if there:
                 await check_control(gimbal, findings)
@@ -142,10 +149,13 @@ async def _version(link: MavsdkLink) -> str:
 # --- rates
 
 
-async def _examine_rates(link: MavsdkLink, findings: Findings, *, earth: bool) -> None:
+async def _examine_rates(link: MavsdkLink, findings: Findings, gimbal: MavsdkGimbal | None) -> None:
     """Measure message rates at the rates requested during a mission."""
     clock = link.clock
+    earth = gimbal is not None and gimbal_is_earth(gimbal)
     await link.use_rates(active=True)
+    if gimbal is not None:
+        await gimbal.ask_rate()
     await clock.sleep(_SETTLE_S)
     meters = [MessageRates(link, stream.name) for stream in DEFAULT_STREAMS]
     for meter in meters:
@@ -179,6 +189,10 @@ def _judge_rate(
     found = f"{best.hz:.1f} Hz" if best.hz else "request denied" if refused else "not received"
     if not best.hz:
         found += f": {_WITHOUT[name]}"
+    if name == "GIMBAL_DEVICE_ATTITUDE_STATUS" and best.hz > _GIMBAL_LEAST_HZ:
+        found += f" from component {best.component}, longest gap {1000 * best.gap_s:.0f} ms: poses settle more slowly"
+        if best.component != AUTOPILOT:
+            advice = "the gimbal's own settings, if it has a rate of its MAVLink attitude"
     least_hz = _GIMBAL_LEAST_HZ if name == "GIMBAL_DEVICE_ATTITUDE_STATUS" else 0.0
     needless = name == "ATTITUDE" and earth
     if name in ("GIMBAL_DEVICE_ATTITUDE_STATUS", "ATTITUDE") and best.hz <= least_hz and not needless:

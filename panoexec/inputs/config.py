@@ -88,6 +88,8 @@ class GimbalSection(Section):
     """`[gimbal]`: properties of the gimbal that it does not report itself."""
 
     feedback: Literal["auto", "earth", "vehicle", "body", "none"] = "auto"
+    manager: Annotated[int, Field(ge=0, le=255)] = 0
+    device: Annotated[int, Field(ge=0, le=255)] = 0
     yaw: Literal["gimbal", "vehicle", "auto"] = "gimbal"
     pitch_deg: Range | None = None
     yaw_deg: Range | None = None
@@ -142,6 +144,7 @@ class PointingSection(Section):
     settle_s: NotNegative = 0.3
     settle_timeout_s: Positive = 10.0
     max_rate_deg_s: Positive = 5.0
+    max_gap_s: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.25
     attempts: Annotated[int, Field(ge=1, le=100)] = 3
     accept: Literal["tolerance", "overlap"] = "tolerance"
 

@@ -15,9 +15,18 @@ from panoexec.devices import Camera, CaptureEvidence, EvidenceLevel, Gimbal, Pen
 from panoexec.errors import DeviceError
 from panoexec.mission.attempt_result import Exposure, NotSettled, Settled
 from panoexec.mission.dated_exposure import ShutterLag, is_dated, window
+from panoexec.mission.pointing.echo import EchoWatch
 from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.pointing.poses import PoseReader, read_pose, to_north
-from panoexec.mission.pointing.tolerance_gate import SettleLimits, SettleTracker, Target, WindowVerdict, judge_window
+from panoexec.mission.pointing.steady_error import SteadyErrorWatch, error_at_rest
+from panoexec.mission.pointing.tolerance_gate import (
+    SettleLimits,
+    SettleTracker,
+    Target,
+    WindowVerdict,
+    allowed_gap_s,
+    judge_window,
+)
 from panoexec.mission.preflight import gimbal_limits
 from panoexec.mission.protocols import PhotoRecall
 from panoexec.mission.settings import MissionSettings
@@ -33,6 +42,16 @@ REFUSED_TRIGGER_DELAY_S = 0.5
 """Delay after a refused trigger, unless the camera's interval is shorter."""
 LATE_SAMPLES_S = 0.5
 """How long to wait for delayed attitude samples of an exposure."""
+FRESH_REPORT_S = 0.15
+"""Reports that show a slew within this time of its command are of the moment."""
+HELD_REPORT_S = 0.4
+"""Reports that repeat are taken for so old before a slew has shown it."""
+REPORT_MARGIN_S = 0.1
+"""Reports may be so much older than a slew showed: they are renewed ten times a second."""
+OLDEST_REPORT_S = 0.6
+"""Reports are not taken for older; a slow gimbal delays what they show, too."""
+BEFORE_SLEW_S = 1.5
+"""Samples of so long before a slew are read, to know where it began: idle streams come once a second."""
 LAST_SLEEP_S = 0.05
 """The last part of a wait for the settle time, slept without reading samples; earlier ones are judged before it."""
 
@@ -45,6 +64,8 @@ class Shooter:
         reference_yaw_north_deg: direction of the plan's yaw 0 from true north.
         open_loop: there is no attitude feedback; the pose is assumed after the slew time.
         heading_controller: turns the vehicle if the gimbal cannot pan far enough; None: the vehicle never turns.
+        echo: judges from each slew whether the gimbal's reports are measured.
+        steady_error: knows whether the gimbal rests beside its commands.
     """
 
     gimbal: Gimbal
@@ -56,12 +77,16 @@ class Shooter:
     heading_controller: HeadingController | None = None
     poses: PoseReader = field(init=False)
     lag: ShutterLag = field(init=False)
+    echo: EchoWatch = field(init=False)
+    steady_error: SteadyErrorWatch = field(init=False)
     _ready_s: float = field(default=-math.inf, init=False)
     _pointed: tuple[float, float] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         """Begin to read the attitude stream."""
         self.lag = ShutterLag(self.settings.latency_s)
+        self.echo = EchoWatch(self.gimbal.known.echo)
+        self.steady_error = SteadyErrorWatch()
         self.poses = PoseReader(feed=self.gimbal.feed, reference_yaw_north_deg=self.reference_yaw_north_deg)
 
     async def approach(
@@ -97,10 +122,11 @@ class Shooter:
                 await blocker.wait()
             await self.clock.sleep(self._interval_left_s())
             return Settled(commanded_s=commanded_s, settled_s=self.clock.monotonic())
+        interval_s = self.poses.interval_s
         limits = SettleLimits(
             settle_s=self.settings.settle_s,
             max_rate_deg_s=self.settings.max_rate_deg_s,
-            max_gap_s=self.settings.max_gap_s,
+            max_gap_s=self.settings.max_gap_s if math.isnan(interval_s) else self._gap_s(),
             use_reported_rate=not self._vehicle_pans,
         )
         target = self._target(shot)
@@ -116,15 +142,52 @@ class Shooter:
         done, settled_s = await until(
             self._timed_out(wait), self._await_settled(wait, clear), f"settle shot {shot.index}"
         )
-        if done and settled_s is not None:
+        settled = done and settled_s is not None
+        if not settled:
+            self._read(wait)
+        self._observe(shot, commanded_s, settled=settled)
+        if self.echo.reason:
+            return NotSettled(code="echo", reason=f"the gimbal's reports are no feedback: {self.echo.reason}")
+        if settled_s is not None:
             return Settled(commanded_s=commanded_s, settled_s=settled_s)
-        self._read(wait)
         why = tracker.problem
         if tracker.is_stale(self.clock.monotonic()):
             why = "the gimbal's attitude stream is silent"
         elif not why:
             why = "inside tolerance, but not for the whole settle time"
         return NotSettled(code="not_settled", reason=f"not settled after {bound_s:.1f} s: {why}")
+
+    def _observe(self, shot: Shot, commanded_s: float, *, settled: bool) -> None:
+        """Learn from a slew whether the gimbal measures, and whether it rests where it was told."""
+        readings = self.poses.since(commanded_s - BEFORE_SLEW_S)
+        yaw_deg = shot.yaw_deg
+        self.echo.slew(
+            readings,
+            commanded_s=commanded_s,
+            pitch_deg=shot.pitch_deg,
+            yaw_deg=yaw_deg,
+            yaw_follows=self._vehicle_pans,
+        )
+        if settled:
+            self.steady_error.settled()
+        elif not self._vehicle_pans:
+            at_rest = error_at_rest(readings, pitch_deg=shot.pitch_deg, yaw_deg=yaw_deg)
+            self.steady_error.failed(at_rest, pitch_deg=shot.pitch_deg, yaw_deg=yaw_deg)
+
+    @property
+    def report_age_s(self) -> float:
+        """How old the gimbal's reports may be, by its slews; 0 if they are of the moment.
+
+        What happened during an exposure is seen in the reports of so much later.
+        """
+        delay_s = self.echo.delay_s
+        if math.isnan(delay_s):
+            return HELD_REPORT_S if self.poses.holds else 0.0
+        return min(delay_s + REPORT_MARGIN_S, OLDEST_REPORT_S) if delay_s > FRESH_REPORT_S else 0.0
+
+    def _gap_s(self) -> float:
+        """The longest gap between samples that an exposure may have."""
+        return allowed_gap_s(self.poses.interval_s, max_gap_s=self.settings.max_gap_s)
 
     async def expose(self, shot: Shot, settled: Settled, *, interrupt: asyncio.Event) -> Exposure | NotSettled:
         """Trigger and judge; returns when the exposure has ended. Cancel it only for an immediate stop.
@@ -161,6 +224,8 @@ class Shooter:
             end_s = await self._exposure_end(capture)
         if not captures:
             return NotSettled(code="trigger", reason=failure)
+        if not self.open_loop:
+            await self.clock.sleep(self.report_age_s)
         return Exposure(
             captures=tuple(captures),
             verdict=await self._judged(shot, captures[0].commanded_s, end_s),
@@ -213,6 +278,7 @@ class Shooter:
 
     async def _judged(self, shot: Shot, start_s: float, end_s: float) -> WindowVerdict:
         """The verdict on an exposure; waits briefly for samples that are delayed on a busy computer."""
+        end_s += self.report_age_s
         verdict = self._judge(shot, start_s, end_s)
         if verdict.code != "no_samples":
             return verdict
@@ -225,8 +291,8 @@ class Shooter:
     def _judge(self, shot: Shot, start_s: float, end_s: float) -> WindowVerdict:
         if self.open_loop:
             return WindowVerdict(ok=True, reason="", code="", samples=0, measured=None, errors=None)
-        gap = self.settings.max_gap_s
-        readings = self.poses.since(start_s - 2 * gap)
+        readings = self.poses.since(start_s - 2 * self.settings.max_gap_s)
+        gap = self._gap_s()
         return judge_window(readings, target=self._target(shot), start_s=start_s, end_s=end_s, max_gap_s=gap)
 
     @property

@@ -32,6 +32,8 @@ class GuardMonitor:
         self._touched = context.record.gimbal_held or context.record.gimbal_left
         self._asks_manager = True
         self._taking = False
+        self._north_told = False
+        self._strangers_told: set[int] = set()
         self._boots = context.vehicle.status.boot_count
 
     async def watch(self) -> None:
@@ -51,6 +53,8 @@ class GuardMonitor:
             context.recorder.emit(ev.Warned(code="reboot", text="the autopilot has rebooted"))
         update_reference_frame(context)
         context.gimbal.feed.ingest()
+        self._look_at_north()
+        self._look_at_strangers()
         sample = context.gimbal.feed.latest
         situation = Situation(
             now_s=now,
@@ -70,6 +74,33 @@ class GuardMonitor:
             context.requests.hold(finding)
         for code in set(context.requests.holds) - set(found) - {"command"}:
             context.requests.clear(code, now_s=now, clear_s=context.settings.guards.clear_s)
+
+    def _look_at_north(self) -> None:
+        """Tell once if gimbal and autopilot contradict each other about the vehicle's heading."""
+        context, known = self._context, self._context.gimbal.known
+        limit_deg = context.settings.tolerance.yaw_deg
+        if self._north_told or not abs(known.north_off_deg) > limit_deg:
+            return
+        self._north_told = True
+        what = "its reports are corrected by it" if known.north_corrected else "which of them is right is unknown"
+        context.recorder.emit(
+            ev.GimbalContradicted(
+                north_off_deg=known.north_off_deg,
+                corrected=known.north_corrected,
+                text=f"the gimbal's north is {known.north_off_deg:+.1f}° from that of the autopilot (tolerance"
+                f" {limit_deg:g}°); {what}: calibrate its compass",
+            )
+        )
+
+    def _look_at_strangers(self) -> None:
+        """Tell once of each component whose attitudes are ignored."""
+        known = self._context.gimbal.known
+        for component in sorted(known.strangers - self._strangers_told):
+            self._strangers_told.add(component)
+            text = (
+                f"component {component} tells attitudes, but the gimbal is component {known.device}: they are ignored"
+            )
+            self._context.recorder.emit(ev.Warned(code="stranger", text=text))
 
     async def hold(self) -> None:
         """Hold until no hold is left (the mission is then capturing) or shooting must end."""
@@ -124,7 +155,12 @@ class GuardMonitor:
         finally:
             self._taking = False
         if done:
-            context.recorder.emit(ev.GimbalAcquired())
+            known = context.gimbal.known
+            context.recorder.emit(
+                ev.GimbalAcquired(
+                    manager=known.manager, device=known.device, device_id=known.device_id, feedback=known.feedback
+                )
+            )
         return done
 
     async def _reclaim(self) -> None:

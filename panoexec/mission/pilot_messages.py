@@ -41,6 +41,7 @@ PAUSE_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
 _WARNING_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "reboot": "autopilot rebooted",
+        "stranger": "a second gimbal attitude is ignored",
         "open_loop": "no gimbal feedback, poses unverified",
         "position": "moved since the first shots: parallax",
         "battery_estimate": "battery too small for all shots",
@@ -79,6 +80,8 @@ def pilot_message_for(event: ev.Event, record: MissionRecord) -> PilotMessage | 
             return PilotMessage(f"{len(event.shots)} more shots to close holes", Severity.INFO)
         case ev.Warned():
             return PilotMessage(_WARNING_TEXTS.get(event.code, event.text), Severity.WARNING)
+        case ev.GimbalContradicted():
+            return PilotMessage(f"gimbal's north is {event.north_off_deg:+.0f} deg off", Severity.WARNING)
         case ev.MissionFinished(state=MissionState.COMPLETE):
             return PilotMessage(f"complete, {done}, gimbal released", Severity.NOTICE)
         case ev.MissionFinished(state=MissionState.ABORTED):

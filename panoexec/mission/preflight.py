@@ -7,10 +7,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from panoexec.angles import wrap_180
-from panoexec.devices import AttitudeSample, Camera, Gimbal, Vehicle
+from panoexec.devices import AttitudeSample, Camera, Gimbal, GimbalKnowledge, Vehicle
 from panoexec.mission.pointing.poses import GIMBAL_FAILURES
+from panoexec.mission.pointing.steady_error import cannot_hold
 from panoexec.mission.settings import GuardSettings, MissionSettings
-from panoexec.planning.model import GimbalLimits, Shot
+from panoexec.planning.model import GimbalLimits, Shot, Tolerance
 from panoexec.planning.order.vehicle_yaw import PanReach
 
 PILOT_MODE_NAMES = {"OFFBOARD": "OFFBOARD (ArduPilot: GUIDED)", "HOLD": "HOLD (PX4: Hold)"}
@@ -18,6 +19,10 @@ PILOT_MODE_NAMES = {"OFFBOARD": "OFFBOARD (ArduPilot: GUIDED)", "HOLD": "HOLD (P
 
 IDLE_SILENCE_S = 2.5
 """Least attitude timeout while the gimbal is not held: its attitude is then read or streamed at 1 to 2 Hz."""
+ECHO_ADVICE = (
+    'use a gimbal that reports measured angles, or set [gimbal] feedback = "none" to fly without verified poses'
+)
+"""What to do about a gimbal whose reports repeat the command."""
 FRESH_FRAC = 0.9
 """A battery above this counts as full: it has just taken off."""
 
@@ -99,6 +104,7 @@ def preflight_problems(
         silence_s = max(guards.attitude_silence_s, IDLE_SILENCE_S)
         gimbal.feed.ingest()
         problems += attitude_problems(gimbal.feed.latest, now_s=now_s, silence_s=silence_s)
+        problems += feedback_problems(gimbal.known, settings.tolerance)
     turn = reference_yaw_north_deg - status.heading_deg
     forward = [
         Shot(index=s.index, row=s.row, pitch_deg=s.pitch_deg, yaw_deg=float(wrap_180(s.yaw_deg + turn)))
@@ -185,6 +191,14 @@ def cannot_turn(mode: str, turn_modes: Sequence[str]) -> str:
     """Text for the pilot: the vehicle does not turn in this mode, but in those."""
     names = [PILOT_MODE_NAMES.get(name, name) for name in turn_modes]
     return f"it does not turn in flight mode {mode or 'unknown'}; change to {' or '.join(names) or 'another mode'}"
+
+
+def feedback_problems(known: GimbalKnowledge, tolerance: Tolerance) -> list[str]:
+    """Why the reports of this gimbal do not prove poses, or why it cannot hold the tolerance; empty if nothing is."""
+    if known.echo:
+        return [f"the gimbal's reports are no feedback: {known.echo}; {ECHO_ADVICE}"]
+    why = "" if known.steady_error is None else cannot_hold(known.steady_error, tolerance)
+    return [why] if why else []
 
 
 def attitude_problems(sample: AttitudeSample | None, *, now_s: float, silence_s: float) -> list[str]:

@@ -53,7 +53,7 @@ class MissionSettings:
         tolerance: largest accepted pointing error of each gimbal axis.
         settle_s: how long the pose must have been inside tolerance before the photo.
         max_rate_deg_s: largest angular speed that counts as settled.
-        max_gap_s: longest gap between attitude samples.
+        max_gap_s: longest gap between attitude samples; above 0.1 s only as far as the rate of the stream asks for it.
         patience_s: settle timeout beyond the expected slew; doubles with each round.
         attempts: consecutive failed attempts (photos or settle timeouts) before a shot is deferred.
         rounds: passes over the shots, the first included.
@@ -78,7 +78,7 @@ class MissionSettings:
     tolerance: Tolerance
     settle_s: Number = 0.3
     max_rate_deg_s: Number = 2.0
-    max_gap_s: Number = 0.1
+    max_gap_s: Number = 0.25
     patience_s: Number = 4.0
     attempts: Whole = 3
     rounds: Whole = 3

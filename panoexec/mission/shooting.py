@@ -15,9 +15,13 @@ from panoexec.mission.attempt_result import Exposure, NotSettled, Settled
 from panoexec.mission.context import MissionContext
 from panoexec.mission.guard_monitor import GuardMonitor
 from panoexec.mission.log import events as ev
+from panoexec.mission.log.record import Verdict
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.measured_certificate import overlaps_hold
+from panoexec.mission.mission_requests import Stop
+from panoexec.mission.pointing.steady_error import cannot_hold
 from panoexec.mission.pointing.tolerance_gate import WindowVerdict
+from panoexec.mission.preflight import ECHO_ADVICE
 from panoexec.mission.protocols import ReportsPhotos
 from panoexec.mission.shot_queue import Decision, Task
 from panoexec.mission.waiting import until
@@ -113,9 +117,33 @@ class Shooting:
             exposure = result
         if isinstance(exposure, NotSettled):
             self._reject(shot.index, number, exposure.code, exposure.reason, ())
+            self._learn_from(exposure)
             return
         assert isinstance(result, Settled)
         self._exposed(shot.index, number, result, exposure)
+
+    def _learn_from(self, failure: NotSettled) -> None:
+        """Stop the mission if the gimbal has shown that no pose can be verified, or that none can be held."""
+        context, known = self._context, self._context.gimbal.known
+        if failure.code == "echo":
+            known.echo = self.shooter.echo.reason
+            self._revoke_unverified()
+            context.requests.request_stop(Stop("fail", f"{failure.reason}; {ECHO_ADVICE}"))
+            return
+        steady = self.shooter.steady_error.found
+        if steady is None or context.record.shots_done:
+            return
+        if why := cannot_hold(steady, context.settings.tolerance):
+            known.steady_error = steady
+            context.requests.request_stop(Stop("fail", why))
+
+    def _revoke_unverified(self) -> None:
+        """No photo stays accepted whose pose was read from an echo."""
+        for index, shot in sorted(self._context.record.shots.items()):
+            for attempt in shot.attempts:
+                if attempt.verdict is Verdict.ACCEPTED and attempt.by != "open_loop":
+                    reason = f"the pose was never measured: {self.shooter.echo.reason}"
+                    self._keep(ev.ShotRevoked(shot=index, attempt=attempt.number, code="echo", reason=reason))
 
     def _exposed(self, shot: int, number: int, settled: Settled, exposure: Exposure) -> None:
         may_overlap = not exposure.failure and not exposure.broken_off and self._may_overlap(exposure.verdict)
@@ -183,6 +211,8 @@ class Shooting:
                 self._reject(shot, number, "evidence", reason, proven)
             elif code:
                 self._reject(shot, number, code, why, proven)
+            elif self.shooter.echo.reason and by != "open_loop":  # found while the evidence was awaited
+                self._reject(shot, number, "echo", self.shooter.echo.reason, proven)
             elif by == "overlap" and not await overlaps_hold(self._context, shot, verdict.measured):
                 reason = f"{verdict.reason}, and the overlaps are too small with this pose"
                 self._reject(shot, number, verdict.code, reason, proven)

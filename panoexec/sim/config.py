@@ -10,7 +10,8 @@ from panoexec.optics import Camera
 from panoexec.sim.faults import FaultSpec
 
 AutopilotKind: TypeAlias = Literal["ardupilot", "px4"]
-MountKind: TypeAlias = Literal["mavlink", "servo"]
+MountKind: TypeAlias = Literal["mavlink", "servo", "driver", "echo"]
+GimbalBeside: TypeAlias = Literal["none", "manager", "only-manager", "second", "stranger"]
 CameraKind: TypeAlias = Literal["mavlink", "servo"]
 
 DEFAULT_PORTS = (14540, 14550)
@@ -65,6 +66,14 @@ class GimbalConfig:
         gust_deg_s2: standard deviation of the camera's angular acceleration in wind of 10 m/s; proportional to the
             square of the wind speed.
         gust_corner_hz: corner frequency of the gusts.
+        report_hz: rate of the attitude reports that it sends by itself.
+        report_obeys: it sends more or fewer of them when its component is asked to.
+        report_step_deg: step of reported angles; 0: none.
+        report_age_s: age of what is reported, with a mount of the kind `driver`.
+        report_target: it reports its target instead of what it measures.
+        steady_error_deg: pitch and yaw by which it rests beside its commands.
+        north_off_deg: the north that it obeys, and that its reports are relative to, is so far off; 0: its reports are
+            relative to the vehicle.
     """
 
     yaw: AxisConfig = AxisConfig(rate_deg_s=90.0, acceleration_deg_s2=360.0, min_deg=-180.0, max_deg=180.0)
@@ -79,6 +88,13 @@ class GimbalConfig:
     heading_period_s: float = 90.0
     gust_deg_s2: float = 40.0
     gust_corner_hz: float = 1.5
+    report_hz: float = 50.0
+    report_obeys: bool = True
+    report_step_deg: float = 0.0
+    report_age_s: float = 0.0
+    report_target: bool = False
+    steady_error_deg: float = 0.0
+    north_off_deg: float = 0.0
 
     @property
     def pans(self) -> bool:
@@ -179,7 +195,12 @@ class SimConfig:
         listen: listen on `port` for a client instead of sending to it.
         autopilot: autopilot to emulate.
         mount: `mavlink`: a gimbal device of its own (ArduPilot's MNT1_TYPE 6); `servo`: driven by the autopilot, which
-            reports the demanded angles relative to the airframe (MNT1_TYPE 1).
+            reports the demanded angles relative to the airframe (MNT1_TYPE 1); `driver`: by a driver of the autopilot,
+            which reports what it measured (MNT1_TYPE 8); `echo`: on outputs, and the autopilot reports the demanded
+            angles (MNT1_TYPE 7, PX4's MNT_MODE_OUT 0).
+        mount_told: the parameter that says so can be read.
+        gimbal_beside: what there is beside the gimbal: a `manager` of its own that refuses, or the `only-manager` that
+            obeys; a `second` gimbal; a `stranger` that tells attitudes when the gimbal is silent.
         camera_kind: `mavlink`: component 100 with its own messages; `servo`: a trigger on the autopilot (component 1)
             whose only evidence is CAMERA_FEEDBACK.
         scene: equirectangular image to photograph; None for the procedural one.
@@ -198,6 +219,8 @@ class SimConfig:
     listen: bool = False
     autopilot: AutopilotKind = "ardupilot"
     mount: MountKind = "mavlink"
+    mount_told: bool = True
+    gimbal_beside: GimbalBeside = "none"
     camera_kind: CameraKind = "mavlink"
     scene: Path | None = None
     seed: int = 1

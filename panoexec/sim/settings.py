@@ -23,6 +23,8 @@ _ANY_SIGN = {
     "heading_deg",
     "wind_from_deg",
     "clock_step_s",
+    "steady_error_deg",
+    "north_off_deg",
 }
 _NOT_ZERO = {
     "rate_deg_s",
@@ -35,6 +37,7 @@ _NOT_ZERO = {
     "exposure_s",
     "image_mib",
     "clock_rate",
+    "report_hz",
 }
 
 

@@ -112,7 +112,7 @@ class Simulation:
         if self.vehicle is not None:
             self.vehicle.start()
             if self.config.mount == "mavlink":
-                self.payload.gimbal.start()
+                self.payload.start_gimbals()
             if self.config.camera_kind == "mavlink":
                 self.payload.camera.start()
         else:

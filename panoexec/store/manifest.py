@@ -165,6 +165,7 @@ class ManifestWriter:
                 "missing": list(record.missing()),
             },
             "open_loop": record.open_loop,
+            "gimbal": _gimbal_json(record),
             "battery": [{"time": iso_utc(time), "charge_frac": round(charge, 4)} for time, charge in self._charges],
             "warnings": list(record.warnings),
             "certificate": None if certificate is None else certificate_to_data(certificate),
@@ -204,6 +205,21 @@ def iso_utc(time_utc_s: float) -> str | None:
     if math.isnan(time_utc_s):
         return None
     return datetime.fromtimestamp(time_utc_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _gimbal_json(record: MissionRecord) -> dict[str, Any] | None:
+    """The gimbal that was used and what it was seen to contradict; None before it was acquired."""
+    gimbal, contradiction = record.gimbal, record.contradiction
+    if gimbal is None:
+        return None
+    return {
+        "manager": gimbal.manager or None,
+        "device": gimbal.device or None,
+        "device_id": gimbal.device_id or None,
+        "feedback": gimbal.feedback or None,
+        "north_off_deg": None if contradiction is None else _number(contradiction.north_off_deg),
+        "north_corrected": None if contradiction is None else contradiction.corrected,
+    }
 
 
 def _shot_json(record: ShotRecord, reference_yaw_north_deg: float, folder: Path) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import math
 import time
@@ -10,7 +11,8 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from panoexec.adapters.gimbal.mavsdk_gimbal import Feedback, MavsdkGimbal
+from panoexec.adapters.gimbal.feedback_kind import Feedback
+from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.clock import SystemClock
 from panoexec.devices import Gimbal, YawFrame
@@ -222,33 +224,142 @@ async def test_the_pose_is_the_same_whatever_frame_it_comes_in(
         await eventually(is_right)
 
 
+@contextlib.asynccontextmanager
+async def telling(peer: GimbalPeer, component: int, *, hz: float = 50.0, flags: int = 76) -> AsyncIterator[None]:
+    """A component that tells an attitude of its own meanwhile."""
+
+    async def tell() -> None:
+        while True:
+            kept, peer.flags = peer.flags, flags
+            peer.send(peer.attitude(device=0), component)
+            peer.flags = kept
+            await asyncio.sleep(1 / hz)
+
+    task = asyncio.create_task(tell())
+    try:
+        yield
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
 async def test_the_gimbals_own_reports_spare_the_autopilots_copy(
     gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal
 ) -> None:
-    await gimbal.acquire()
-    assert gimbal_autopilot.streams[285] == pytest.approx(1 / 50)
-    began = time.monotonic()
+    async with telling(gimbal_autopilot, DEVICE):
+        await eventually(lambda: DEVICE in gimbal.reports.heard())
+        await gimbal.acquire()
+        assert gimbal.known.device == DEVICE
+        # its copy of the attitude, and of the airframe's, which reports relative to the earth do not need
+        await eventually(lambda: gimbal_autopilot.streams[285] > 0.9 and gimbal_autopilot.streams[30] > 0.9)
+        gimbal.feed.ingest()
+        latest = gimbal.feed.latest
+        assert latest is not None
+        assert latest.yaw_frame is YawFrame.EARTH
+    # when they fall silent, the gimbal is silent, whoever else tells attitudes
+    async with telling(gimbal_autopilot, 171, flags=44), telling(gimbal_autopilot, 155, flags=44):
+        gimbal_autopilot.beat(155, 26)
+        gimbal.feed.ingest()
+        silent = gimbal.feed.latest
+        assert silent is not None
+        await eventually(lambda: gimbal.known.strangers == {155, 171})
+        await asyncio.sleep(1.2)
+        gimbal.feed.ingest()
+        assert gimbal.feed.latest == silent
+        assert gimbal.age_s > 1.0
+        await gimbal.acquire()
+        assert gimbal.known.device == DEVICE
 
-    def own() -> None:
-        flags, gimbal_autopilot.flags = gimbal_autopilot.flags, 76
-        gimbal_autopilot.send(gimbal_autopilot.attitude(boot_ms=5, device=0), DEVICE)
-        gimbal_autopilot.flags = flags
 
-    # its copy of the attitude, and of the airframe's, which reports relative to the earth do not need
-    while gimbal_autopilot.streams[285] < 0.9 or gimbal_autopilot.streams[30] < 0.9:
-        own()
-        await asyncio.sleep(0.02)
-        assert time.monotonic() - began < 5
+async def test_no_attitude_comes_from_another_system(gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal) -> None:
     gimbal.feed.ingest()
-    latest = gimbal.feed.latest
-    assert latest is not None
-    assert latest.yaw_frame is YawFrame.EARTH
-    # when they fall silent, the copy is asked for again
-    await eventually(lambda: gimbal_autopilot.streams[285] < 0.03, 8)
-    await eventually(lambda: gimbal.feed.latest is not None and gimbal.feed.latest.yaw_frame is YawFrame.VEHICLE)
+    before = gimbal.feed.latest
+    assert before is not None
+    stranger = mavlink.MAVLink(None, 7, DEVICE)
+    for _ in range(20):
+        gimbal_autopilot._write(gimbal_autopilot.attitude(boot_ms=77_000, device=0).pack(stranger))
+    await gimbal.feed.newer_than(before.received_s)
+    assert DEVICE not in gimbal.reports.heard()
+    assert all(sample.vehicle_s < 70 for sample in gimbal.feed.since(0.0))
 
 
-@pytest.mark.parametrize(("kind", "feedback"), [(1, "body"), (6, "vehicle"), (7, "none")])
+def offer_own_manager(peer: GimbalPeer) -> None:
+    """The gimbal is a manager, too, as component 154, with other limits."""
+    limits = (-0.5, 0.5, -0.7, 0.3, -1.0, 1.0)
+    info = mavlink.MAVLink_gimbal_manager_information_message(peer.boot_ms(), 206847, DEVICE, *limits)
+    peer.send(info, DEVICE)
+    peer.send(mavlink.MAVLink_gimbal_manager_status_message(peer.boot_ms(), 12, DEVICE, *peer.control, 0, 0), DEVICE)
+
+
+@contextlib.asynccontextmanager
+async def two_managers(peer: GimbalPeer) -> AsyncIterator[None]:
+    async def offer() -> None:
+        while True:
+            offer_own_manager(peer)
+            await asyncio.sleep(0.1)
+
+    task = asyncio.create_task(offer())
+    try:
+        async with telling(peer, DEVICE):
+            yield
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+async def test_the_autopilots_manager_is_used_and_its_limits_alone(
+    gimbal_autopilot: GimbalPeer, gimbal_link: MavsdkLink
+) -> None:
+    async with two_managers(gimbal_autopilot), MavsdkGimbal(gimbal_link) as gimbal:
+        await eventually(lambda: {one.manager for one in gimbal.candidates} == {1, DEVICE}, 15)
+        assert (await gimbal.discover()).manager_component == 1
+        await gimbal.acquire()
+        assert gimbal.limits is not None
+        assert gimbal.limits.pitch_max_deg == 28.648
+        assert {command.target_component for command in gimbal_autopilot.sent(1001)} == {1}
+
+
+async def test_the_next_manager_is_asked_when_the_autopilots_refuses(
+    gimbal_autopilot: GimbalPeer, gimbal_link: MavsdkLink
+) -> None:
+    configure = gimbal_autopilot.answers[1001]
+    gimbal_autopilot.answers[1001] = lambda command: DENIED if command.target_component == 1 else configure(command)
+    async with two_managers(gimbal_autopilot), MavsdkGimbal(gimbal_link) as gimbal:
+        await eventually(lambda: {one.manager for one in gimbal.candidates} == {1, DEVICE}, 15)
+        await gimbal.acquire()
+        assert gimbal.found is not None
+        assert (gimbal.found.manager_component, gimbal.known.device) == (DEVICE, DEVICE)
+        assert gimbal.limits is not None
+        assert gimbal.limits.pitch_max_deg == pytest.approx(17.189)
+
+
+async def test_a_configured_manager_that_is_not_there_is_named(
+    gimbal_autopilot: GimbalPeer, gimbal_link: MavsdkLink
+) -> None:
+    async with MavsdkGimbal(gimbal_link, manager=42) as gimbal:
+        await eventually(lambda: bool(gimbal.candidates), 15)
+        with pytest.raises(DeviceError, match=r"\[gimbal\] manager = 42, device = 0 is none of unnamed \(manager 1"):
+            await gimbal.discover(timeout_s=0.5)
+
+
+@pytest.mark.parametrize("answer", [0, 3])
+async def test_a_slow_gimbal_is_asked_itself(gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal, answer: int) -> None:
+    own = gimbal_autopilot.answers[511]
+    gimbal_autopilot.answers[511] = lambda command: answer if command.target_component == DEVICE else own(command)
+
+    def asked() -> list[float]:
+        return [command.param2 for command in gimbal_autopilot.sent(511) if command.target_component == DEVICE]
+
+    async with telling(gimbal_autopilot, DEVICE, hz=10.0, flags=44):
+        await eventually(lambda: DEVICE in gimbal.reports.heard())
+        await gimbal.acquire()
+        await eventually(lambda: asked() != [])
+        assert asked()[0] == 20_000
+        await gimbal.release()
+        assert (asked()[-1] == 0) == (answer == 0), "its own rate comes back only if it was changed"
+
+
+@pytest.mark.parametrize(("kind", "feedback"), [(1, "none"), (6, "vehicle"), (7, "none")])
 async def test_the_mounts_type_tells_what_its_reports_are_worth(
     gimbal_autopilot: GimbalPeer, gimbal_link: MavsdkLink, kind: int, feedback: Feedback
 ) -> None:
@@ -260,7 +371,8 @@ async def test_the_mounts_type_tells_what_its_reports_are_worth(
         latest = gimbal.feed.latest
         assert latest is not None
         sample = await gimbal.feed.newer_than(latest.received_s)
-        assert sample.yaw_frame is (YawFrame.BODY if feedback == "body" else YawFrame.VEHICLE)
+        assert sample.yaw_frame is (YawFrame.BODY if kind == 1 else YawFrame.VEHICLE)
+        assert gimbal.known.echo.startswith(f"MNT1_TYPE = {kind} (") == (feedback == "none")
 
 
 async def test_the_config_overrules_detection(gimbal_autopilot: GimbalPeer, gimbal_link: MavsdkLink) -> None:
@@ -268,6 +380,7 @@ async def test_the_config_overrules_detection(gimbal_autopilot: GimbalPeer, gimb
     async with MavsdkGimbal(gimbal_link, feedback="earth") as gimbal:
         assert (await gimbal.discover()).feedback == "earth"
         assert (await gimbal.feed.newer_than(0.0)).yaw_frame is YawFrame.EARTH
+        assert "MNT1_TYPE = 7" in gimbal.known.echo, "what the autopilot says is not forgotten"
 
 
 async def test_a_second_mount_does_not_mix_in(gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal) -> None:

@@ -19,7 +19,7 @@ PAIR_S: Final = 0.1
 """Greatest time difference between a sample and the airframe's attitude that it is paired with."""
 
 SOURCE_SILENT_S: Final = 1.0
-"""After this silence of the selected source another one is selected."""
+"""After this silence of the selected source another one is selected, unless it is pinned."""
 
 
 class AttitudeBuffer:
@@ -42,6 +42,7 @@ class AttitudeBuffer:
         self._vehicle: deque[VehicleAttitude] = deque()
         self._source: int | None = None
         self._source_s = -math.inf
+        self._pinned: int | None = None
         self._waiters: list[asyncio.Future[None]] = []
 
     @property
@@ -50,14 +51,26 @@ class AttitudeBuffer:
         return self._source
 
     @property
+    def pinned(self) -> int | None:
+        """The only component whose samples count; None as long as it may change."""
+        return self._pinned
+
+    def pin(self, component: int) -> None:
+        """Let only the samples of that component count from now on, and forget those of others."""
+        if component != self._source:
+            self._samples.clear()
+        self._pinned = self._source = component
+
+    @property
     def is_awaited(self) -> bool:
         """Whether a task waits for the next sample; may be called in any thread."""
         return bool(self._waiters)
 
     def put_sample(self, sample: AttitudeSample, component: int) -> bool:
         """Add a report of the gimbal; False if another source is selected."""
-        if not self._from_chosen_source(component, sample.received_s):
+        if not self.takes(component, sample.received_s):
             return False
+        self._source, self._source_s = component, sample.received_s
         _keep(self._samples, sample)
         for waiter in self._waiters:
             if not waiter.done():
@@ -116,14 +129,12 @@ class AttitudeBuffer:
             return _nearest(self._vehicle, sample.vehicle_s, lambda attitude: attitude.vehicle_s)
         return _nearest(self._vehicle, sample.received_s, lambda attitude: attitude.received_s)
 
-    def _from_chosen_source(self, component: int, now_s: float) -> bool:
-        if component != self._source:
-            better = self._source is None or self._source == self._autopilot_component
-            if not better and now_s - self._source_s <= SOURCE_SILENT_S:
-                return False
-            self._source = component
-        self._source_s = now_s
-        return True
+    def takes(self, component: int, now_s: float) -> bool:
+        """Whether a sample of that component would be taken now."""
+        if component == self._source or self._pinned is not None:
+            return component == self._source
+        better = self._source is None or self._source == self._autopilot_component
+        return better or now_s - self._source_s > SOURCE_SILENT_S
 
 
 _Stamped = TypeVar("_Stamped", AttitudeSample, VehicleAttitude)

@@ -39,7 +39,12 @@ def yaw_frame(flags: int) -> YawFrame:
 
 
 def gimbal_sample(
-    fields: Mapping[str, Any], received_s: float, frame: YawFrame | None = None, *, heading_deg: float = _NAN
+    fields: Mapping[str, Any],
+    received_s: float,
+    frame: YawFrame | None = None,
+    *,
+    heading_deg: float = _NAN,
+    north_off_deg: float = _NAN,
 ) -> AttitudeSample:
     """A sample from GIMBAL_DEVICE_ATTITUDE_STATUS (285).
 
@@ -49,6 +54,8 @@ def gimbal_sample(
         frame: overrides the flags, for a mount that sets the wrong ones.
         heading_deg: the vehicle's heading at the time of the report; if known, a sample in the vehicle frame is
             converted to the earth frame (285: q_earth = q_delta_yaw * q_vehicle).
+        north_off_deg: the gimbal's north from that of the autopilot (its heading of the vehicle minus the autopilot's);
+            if known, a sample in the earth frame is turned back by it.
 
     Raises:
         KeyError, TypeError, ValueError: invalid fields.
@@ -61,6 +68,8 @@ def gimbal_sample(
     frame = frame or yaw_frame(fields["flags"])
     if frame is YawFrame.VEHICLE and math.isfinite(heading_deg):
         q, frame = _turned(q, heading_deg), YawFrame.EARTH
+    elif frame is YawFrame.EARTH and math.isfinite(north_off_deg):
+        q = _turned(q, -north_off_deg)
     return AttitudeSample(
         received_s=received_s,
         vehicle_s=fields["time_boot_ms"] / 1000.0,

@@ -16,6 +16,52 @@ _WINDOW_S: Final = 0.5
 run at another rate (a simulation that cannot keep up), which the offset must follow."""
 
 
+_STEP_S: Final = 1.0
+"""A stamp that is further from what the one before says is not of this moment."""
+_RATE_FRAC: Final = 0.2
+"""Clocks may run at rates that differ by so much (a simulation that cannot keep up)."""
+_STEP_RUN: Final = 3
+"""So many messages in a row that agree with each other, but not with those before, show that the clock was set."""
+
+
+class StampCheck:
+    """Whether the time stamps of one stream belong to the moments of their arrival; fed in the order of arrival.
+
+    One message whose stamp lies seconds in the future or in the past (forged, or kept somewhere) is no report of now.
+    A clock that was set, as by a reboot, is believed after `_STEP_RUN` messages.
+    """
+
+    def __init__(self) -> None:
+        self._good: tuple[float, float] | None = None
+        self._odd: tuple[float, float] | None = None
+        self._run = 0
+
+    def fits(self, stamp_s: float, received_s: float) -> bool:
+        """Take the next stamp; False if its message is to be dropped.
+
+        Args:
+            stamp_s: the sender's boot time; NaN or 0 if it does not stamp.
+            received_s: when it arrived.
+        """
+        if math.isnan(stamp_s) or stamp_s == 0:
+            return True
+        now = (stamp_s, received_s)
+        if self._good is None or _continues(self._good, now):
+            self._good, self._odd, self._run = now, None, 0
+            return True
+        self._run = self._run + 1 if self._odd is not None and _continues(self._odd, now) else 1
+        self._odd = now
+        if self._run < _STEP_RUN:
+            return False
+        self._good, self._odd, self._run = now, None, 0
+        return True
+
+
+def _continues(before: tuple[float, float], now: tuple[float, float]) -> bool:
+    elapsed_s = now[1] - before[1]
+    return abs(now[0] - before[0] - elapsed_s) <= _STEP_S + _RATE_FRAC * abs(elapsed_s)
+
+
 class StampDejitter:
     """Converts the time stamps of one stream to the mission's clock; fed in the order of arrival, from one thread.
 

@@ -20,6 +20,8 @@ _SAME_MOMENT_S: Final = 0.03
 """Headings further apart in time are not compared; a turn would be taken for drift."""
 _EARLY_S: Final = 0.1
 """An autopilot's heading up to this much later than the gimbal's report counts as simultaneous."""
+_SURE_S: Final = 1.0
+"""A difference that is told was averaged for so long."""
 _JUMP_DEG: Final = 20.0
 """A larger change of the difference is neither jitter nor drift: the gimbal has reset its heading."""
 
@@ -33,6 +35,11 @@ class HeadingFilter:
         self._drift_deg = math.nan
         self._since_s = 0.0
         self._noted_s = 0.0
+
+    @property
+    def difference_deg(self) -> float:
+        """The gimbal's heading minus the autopilot's, averaged; NaN before it was compared for `_SURE_S`."""
+        return self._drift_deg if self._noted_s - self._since_s >= _SURE_S else math.nan
 
     def vehicle(self, heading_deg: float, received_s: float) -> None:
         """Take the autopilot's heading."""

@@ -5,55 +5,33 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from types import TracebackType
-from typing import Any, Final, Literal, Self, TypeAlias
+from typing import Final, Self
 
 import structlog
 from mavsdk.plugins.gimbal import ControlMode, ControlStatus, Gimbal, GimbalItem, GimbalList, GimbalMode, SendMode
 
-from panoexec.adapters.gimbal.attitude_buffer import AttitudeBuffer
-from panoexec.adapters.gimbal.attitude_messages import (
-    gimbal_sample,
-    manager_limits,
-    number,
-    told_heading_deg,
-    vehicle_attitude,
-    yaw_frame,
-)
-from panoexec.adapters.gimbal.dejitter import StampDejitter
-from panoexec.adapters.gimbal.heading_filter import HeadingFilter
-from panoexec.adapters.link.batching import MessageBatcher
+from panoexec.adapters.gimbal.attitude_messages import manager_limits
+from panoexec.adapters.gimbal.device_rate import DeviceRate
+from panoexec.adapters.gimbal.feedback_kind import FRAMES, Feedback, echo_by_parameters
+from panoexec.adapters.gimbal.gimbal_choice import Candidate, in_order
+from panoexec.adapters.gimbal.gimbal_reports import GimbalReports
+from panoexec.adapters.gimbal.north_trim import NorthTrim
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.message_hub import MavMessage
 from panoexec.adapters.link.stream_keeper import AUTOPILOT
-from panoexec.devices import AttitudeFeed, YawFrame
-from panoexec.errors import DeviceError
+from panoexec.devices import AttitudeFeed, GimbalKnowledge, YawFrame
+from panoexec.errors import DeviceError, LinkError
 from panoexec.planning.model import GimbalLimits
 
-Feedback: TypeAlias = Literal["earth", "vehicle", "body", "none"]
-"""Kind of the attitude reports: measured in the earth or the vehicle frame, commanded servo angles (`body`), or an
-echo of the setpoint (`none`)."""
-
-ATTITUDE_STATUS: Final = 285
-ATTITUDE: Final = 30
 MANAGER_STATUS: Final = 281
 MANAGER_INFORMATION: Final = 280
 
 _TAKE_S: Final = 3.0
 _RELEASE_S: Final = 2.5
-_SPARED_HZ: Final = 1.0
-_DRIFT_HZ: Final = 5.0
-_SERVO: Final = 1
-_BRUSHLESS_PWM: Final = 7
-_FRAMES: Final[dict[Feedback, YawFrame]] = {
-    "earth": YawFrame.EARTH,
-    "vehicle": YawFrame.VEHICLE,
-    "body": YawFrame.BODY,
-}
 
 _log = structlog.get_logger(__name__)
 
@@ -85,30 +63,34 @@ class MavsdkGimbal:
     flags, pairs yaw with the last received ATTITUDE, and receives only one of two sources.
     """
 
-    def __init__(self, link: MavsdkLink, *, feedback: Feedback | None = None) -> None:
+    def __init__(
+        self, link: MavsdkLink, *, feedback: Feedback | None = None, manager: int = 0, device: int = 0
+    ) -> None:
         """Create it; entering the context subscribes to messages.
 
         Args:
             link: to the autopilot, entered before and left after this.
             feedback: overrides the reported kind; None: use the frame flags, or the mount type if the autopilot has
                 that parameter.
+            manager: MAVLink component of the only manager to use; 0: the autopilot's, then the others.
+            device: the only gimbal to use, by the component that tells its attitude or by its device id; 0: automatic.
         """
         self._link = link
         self._feedback_wanted = feedback
-        self._frame = _FRAMES.get(feedback) if feedback else None
-        self._reports = MessageBatcher(self._report, post=link.post, eager=lambda: self._buffer.is_awaited)
-        self._buffer = AttitudeBuffer(autopilot_component=AUTOPILOT, ingest=self._reports.ingest)
-        self._heading = HeadingFilter()
-        self._stamps: dict[tuple[int, str], StampDejitter] = {}
-        self._stated = YawFrame.VEHICLE
+        self._manager = manager
+        self._device = device
+        self._known = GimbalKnowledge()
+        self._reports = GimbalReports(
+            link, known=self._known, frame=FRAMES.get(feedback) if feedback else None, device=device
+        )
+        self._rate = DeviceRate(link, self._reports)
+        self._north = NorthTrim(self._known)
         self._found: GimbalFound | None = None
-        self._limits: GimbalLimits | None = None
-        self._control: ControlStatus | None = None
+        self._limits: dict[tuple[int, int], GimbalLimits | None] = {}
+        self._control: dict[int, ControlStatus] = {}
         self._status_came = asyncio.Event()
         self._listed = asyncio.Event()
         self._list: list[GimbalItem] = []
-        self._sample_s = -math.inf
-        self._source: tuple[int, YawFrame, YawFrame] | None = None
         self._off: list[Callable[[], None]] = []
 
     # --- state
@@ -116,23 +98,39 @@ class MavsdkGimbal:
     @property
     def feed(self) -> AttitudeFeed:
         """See `Gimbal.feed`."""
-        return self._buffer
+        return self._reports.buffer
+
+    @property
+    def reports(self) -> GimbalReports:
+        """Its attitude reports, and who sends them."""
+        return self._reports
+
+    @property
+    def known(self) -> GimbalKnowledge:
+        """See `Gimbal.known`."""
+        return self._known
 
     @property
     def limits(self) -> GimbalLimits | None:
         """See `Gimbal.limits`. The yaw range is relative to the vehicle's heading."""
-        return self._limits
+        if self._found is None:
+            return next((limits for (manager, _), limits in self._limits.items() if manager == AUTOPILOT), None)
+        return self.limits_of(self._found.manager_component, self._found.device_id)
+
+    def limits_of(self, manager: int, device_id: int) -> GimbalLimits | None:
+        """The limits that a manager reports for a device; None if unknown."""
+        return self._limits.get((manager, device_id))
 
     @property
     def in_control(self) -> bool:
         """See `Gimbal.in_control`."""
-        status = self._control
-        return status is not None and self._holder(status) == self._link.own_ids
+        return self.controlled_by == self._link.own_ids
 
     @property
     def controlled_by(self) -> tuple[int, int] | None:
         """MAVLink system and component in primary control, (0, 0) for none; None before the first status."""
-        return None if self._control is None else self._holder(self._control)
+        status = None if self._found is None else self._control.get(self._found.gimbal_id)
+        return None if status is None else (status.sysid_primary_control, status.compid_primary_control)
 
     @property
     def found(self) -> GimbalFound | None:
@@ -140,20 +138,29 @@ class MavsdkGimbal:
         return self._found
 
     @property
+    def candidates(self) -> list[Candidate]:
+        """All gimbals that managers offer, also those that the configuration excludes."""
+        return in_order(
+            Candidate(
+                gimbal_id=item.gimbal_id,
+                manager=item.gimbal_manager_component_id,
+                device_id=item.gimbal_device_id,
+                vendor=item.vendor_name,
+                model=item.model_name,
+            )
+            for item in self._list
+        )
+
+    @property
     def age_s(self) -> float:
         """Real seconds since the last attitude report arrived, ingested or not; infinity before the first."""
-        pending = (message.heard_s for message in reversed(self._reports.pending) if self._is_own_report(message))
-        return time.monotonic() - next(pending, self._sample_s)
+        return self._reports.age_s
 
     # --- life cycle
 
     async def __aenter__(self) -> Self:
         """Subscribe to messages."""
-        self._off = [
-            self._link.on("GIMBAL_DEVICE_ATTITUDE_STATUS", self._reports.put),
-            self._link.on("ATTITUDE", self._reports.put),
-            self._link.on("GIMBAL_MANAGER_INFORMATION", self._information),
-        ]
+        self._off = [*self._reports.subscribe(), self._link.on("GIMBAL_MANAGER_INFORMATION", self._information)]
         self._off.append(self._link.when_attached(self._attach))
         self._off.append(self._link.when_back(self._came_back))
         return self
@@ -162,6 +169,7 @@ class MavsdkGimbal:
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None:
         """Unsubscribe; does not release the gimbal."""
+        await self._rate.stop()
         for off in self._off:
             off()
 
@@ -179,35 +187,61 @@ class MavsdkGimbal:
         """
         if self._found is not None:
             return self._found
-        plugin = self._link.requests.plugin(Gimbal)
         try:
             async with asyncio.timeout(timeout_s):
-                await self._listed.wait()
+                await self._first_listed()
                 # the kind of feedback depends on the sender; the list may arrive before the first report
-                await self._buffer.newer_than(-math.inf)
+                await self._reports.buffer.newer_than(-math.inf)
         except TimeoutError as error:
             raise DeviceError(f"no gimbal within {timeout_s:g} s: {self._why_not_found()}") from error
-        item = self._list[0]
-        await self._ask_limits(item.gimbal_manager_component_id)
-        self._found = GimbalFound(
-            gimbal_id=item.gimbal_id,
-            manager_component=item.gimbal_manager_component_id,
-            device_id=item.gimbal_device_id,
-            vendor=item.vendor_name,
-            model=item.model_name,
-            feedback=await self._find_feedback(item.gimbal_device_id),
-        )
-        _log.info("gimbal found", gimbal=self._found, limits=self._limits, plugin=type(plugin).__name__)
-        return self._found
+        found = await self._use(self._usable()[0])
+        others = [one.describe() for one in self.candidates if one.gimbal_id != found.gimbal_id]
+        _log.info("gimbal found", gimbal=found, limits=self.limits, others=others)
+        return found
 
     async def acquire(self) -> None:
-        """See `Gimbal.acquire`. Also requests the attitude at full rate."""
-        gimbal = await self.discover()
+        """See `Gimbal.acquire`. Also requests the attitude at full rate.
+
+        If the manager refuses, the next one is asked, until one was in control once: from then on manager and device
+        stay the same.
+        """
+        found = await self.discover()
         await self._link.use_rates(active=True)
-        plugin = self._link.requests.plugin(Gimbal)
-        take = partial(plugin.take_control, gimbal.gimbal_id, ControlMode.PRIMARY)
-        self._control = None
+        choices = self._usable()
+        if self._reports.buffer.pinned is not None:
+            choices = [one for one in choices if one.gimbal_id == found.gimbal_id]
+        choices.sort(key=lambda one: one.gimbal_id != found.gimbal_id)
+        refused: DeviceError | None = None
+        for choice in choices:
+            try:
+                await self._request_control(choice)
+            except LinkError:
+                raise
+            except DeviceError as error:
+                _log.warning("gimbal manager refuses control", gimbal=choice.describe(), error=str(error))
+                refused = refused or error
+                continue
+            if choice.gimbal_id != found.gimbal_id:
+                found = await self._use(choice)
+            await self._confirm_control(found)
+            before = self._reports.source_component
+            if self._reports.pin(found.device_id) != before:
+                await self._use(choice)  # its reports come from another component: what they are worth may differ
+            self._rate.begin()
+            return
+        raise refused or DeviceError("no gimbal is left to be taken")
+
+    async def _request_control(self, choice: Candidate) -> None:
+        take = partial(self._link.requests.plugin(Gimbal).take_control, choice.gimbal_id, ControlMode.PRIMARY)
+        self._control.pop(choice.gimbal_id, None)
         await self._link.requests.mavsdk_call("taking control of the gimbal", take)
+
+    async def _confirm_control(self, gimbal: GimbalFound) -> None:
+        """Return when the manager's status names us.
+
+        Raises:
+            DeviceError: it does not.
+        """
         try:
             async with asyncio.timeout(_TAKE_S):
                 await self._ask_status(gimbal.manager_component)
@@ -215,24 +249,34 @@ class MavsdkGimbal:
                     self._status_came.clear()
                     await self._status_came.wait()
         except TimeoutError as error:
-            holder = "no primary control"
-            if self._control is not None:
-                holder = "system {} component {}".format(*self._holder(self._control))
+            if self.in_control:  # the answer to our question was lost, not the confirmation
+                return
+            holder = self.controlled_by
+            named = "no primary control" if holder is None else "system {} component {}".format(*holder)
             raise DeviceError(
-                f"taking control of the gimbal: accepted, but its manager reports {holder} after {_TAKE_S:g} s"
+                f"taking control of the gimbal: accepted, but its manager reports {named} after {_TAKE_S:g} s"
             ) from error
+
+    async def ask_rate(self) -> None:
+        """Ask the gimbal itself for its attitude at full rate if it is sent at a lower one; needs a pinned source."""
+        await self._rate.ask()
 
     async def point(self, pitch_deg: float, yaw_deg: float | None) -> None:
         """See `Gimbal.point`."""
         if not (math.isfinite(pitch_deg) and (yaw_deg is None or math.isfinite(yaw_deg))):
             raise ValueError(f"cannot point at pitch {pitch_deg}, yaw {yaw_deg}")
         gimbal = await self.discover()
+        send_deg = 0.0
+        if yaw_deg is not None:
+            self.feed.ingest()
+            now_s = self._link.clock.monotonic()
+            send_deg = self._north.command(pitch_deg, yaw_deg, newest=self.feed.latest, now_s=now_s)
         set_angles = partial(
             self._link.requests.plugin(Gimbal).set_angles,
             gimbal.gimbal_id,
             0.0,
             pitch_deg,
-            0.0 if yaw_deg is None else (yaw_deg + 180.0) % 360.0 - 180.0,
+            (send_deg + 180.0) % 360.0 - 180.0,
             GimbalMode.YAW_FOLLOW if yaw_deg is None else GimbalMode.YAW_LOCK,
             SendMode.ONCE,
         )
@@ -247,67 +291,18 @@ class MavsdkGimbal:
                     plugin = self._link.requests.plugin(Gimbal)
                     give = partial(plugin.release_control, self._found.gimbal_id)
                     await self._link.requests.mavsdk_call("releasing the gimbal", give)
-                    self._control = None
+                    self._control.pop(self._found.gimbal_id, None)
+                await self._rate.restore()
                 await self._link.use_rates(active=False)
                 return
         self._link.streams.active = False
         _log.warning("gimbal release was not acknowledged")
 
-    # --- reports, on the loop
-
-    def _report(self, message: MavMessage) -> None:
-        try:
-            if message.name == "ATTITUDE":
-                self._airframe(message)
-            else:
-                self._attitude(message)
-        except (LookupError, TypeError, ValueError) as error:
-            message.unusable(error)
-
-    def _attitude(self, message: MavMessage) -> None:
-        fields = message.fields
-        if not self._is_own_device(fields):
-            return
-        self._sample_s = message.heard_s
-        sent_s = self._sent_s(message)
-        heading_deg = math.nan
-        if message.component_id != AUTOPILOT:
-            heading_deg = self._heading.gimbal(told_heading_deg(fields), sent_s)
-        self._stated = yaw_frame(int(fields["flags"]))
-        sample = gimbal_sample(fields, sent_s, self._frame, heading_deg=heading_deg)
-        taken = self._buffer.put_sample(sample, message.component_id)
-        source = message.component_id, self._stated, sample.yaw_frame
-        if taken and source != self._source:
-            self._source = source
-            self._source_changed(*source)
-
-    def _is_own_device(self, fields: Mapping[str, Any]) -> bool:
-        """Whether a report is not of a second mount of the vehicle."""
-        return self._found is None or int(fields.get("gimbal_device_id") or 0) in (0, self._found.device_id)
-
-    def _is_own_report(self, message: MavMessage) -> bool:
-        try:
-            return message.name == "GIMBAL_DEVICE_ATTITUDE_STATUS" and self._is_own_device(message.fields)
-        except (TypeError, ValueError):
-            return False
-
-    def _airframe(self, message: MavMessage) -> None:
-        if message.component_id == AUTOPILOT:
-            sent_s = self._sent_s(message)
-            self._buffer.put_vehicle(vehicle_attitude(message.fields, sent_s))
-            self._heading.vehicle(math.degrees(number(message.fields["yaw"])), sent_s)
-
-    def _sent_s(self, message: MavMessage) -> float:
-        """When a message was sent, without jitter; each component and message name is a stream of its own."""
-        stamps = self._stamps.setdefault((message.component_id, message.name), StampDejitter())
-        return stamps.sent_s(number(message.fields["time_boot_ms"]) / 1000.0, message.received_s)
-
     # --- in MAVSDK's thread
 
     def _information(self, message: MavMessage) -> None:
-        limits = manager_limits(message.fields)
-        if limits is not None:
-            self._limits = limits
+        device_id = int(message.fields.get("gimbal_device_id") or 0)
+        self._limits[message.component_id, device_id] = manager_limits(message.fields)
 
     def _gimbals_listed(self, gimbals: GimbalList, _user_data: object) -> None:
         if gimbals.gimbals:
@@ -315,9 +310,7 @@ class MavsdkGimbal:
             self._link.post(self._listed.set)
 
     def _control_status(self, status: ControlStatus, _user_data: object) -> None:
-        if self._found is not None and status.gimbal_id != self._found.gimbal_id:
-            return
-        self._control = status
+        self._control[status.gimbal_id] = status
         self._link.post(self._status_came.set)
 
     # --- on the loop
@@ -330,59 +323,86 @@ class MavsdkGimbal:
         self._off.append(partial(plugin.unsubscribe_control_status, control_status))
 
     def _came_back(self) -> None:
-        self._buffer.rebooted()
-        self._control = None
+        self._reports.rebooted()
+        self._control.clear()
 
-    def _source_changed(self, component: int, stated: YawFrame, used: YawFrame) -> None:
-        """Throttle streams that are not needed: each message that reaches Python costs CPU time.
+    def _usable(self) -> list[Candidate]:
+        return in_order(self.candidates, manager=self._manager, device=self._device)
 
-        The autopilot's copy of the reports is throttled while the gimbal's own arrive. The vehicle's attitude is needed
-        at the same rate to compose body and vehicle frames; at a lower rate if it only corrects the heading that the
-        gimbal reports; hardly at all for reports in the earth frame.
+    async def _first_listed(self) -> None:
+        """Return when a gimbal that may be used is listed; waits for the autopilot's if it is a manager.
+
+        The order in which managers are found is by chance.
         """
-        throttled = self._link.streams.throttled
-        throttled.pop(ATTITUDE_STATUS, None)
-        throttled.pop(ATTITUDE, None)
-        if component != AUTOPILOT:
-            throttled[ATTITUDE_STATUS] = _SPARED_HZ
-        if used is YawFrame.EARTH:
-            throttled[ATTITUDE] = _SPARED_HZ if stated is YawFrame.EARTH else _DRIFT_HZ
+        await self._listed.wait()
+        has_own = self._manager not in (0, AUTOPILOT) or self._has(AUTOPILOT)
+        if not has_own:
+            has_own = not await self._ask_limits(AUTOPILOT)
+        while not self._usable() or not (has_own or self._has(AUTOPILOT)):
+            self._listed.clear()
+            await self._listed.wait()
 
-    async def _ask_limits(self, manager: int) -> None:
-        if self._limits is not None:
-            return
-        with contextlib.suppress(DeviceError):  # then no limits are known
+    def _has(self, manager: int) -> bool:
+        return any(one.manager == manager for one in self._usable())
+
+    async def _use(self, choice: Candidate) -> GimbalFound:
+        """Use that gimbal from now on."""
+        if self.limits_of(choice.manager, choice.device_id) is None:
+            await self._ask_limits(choice.manager)
+        if self._reports.buffer.pinned is None:
+            self._reports.device_id = choice.device_id
+        self._known.manager, self._known.device_id = choice.manager, choice.device_id
+        self._found = GimbalFound(
+            gimbal_id=choice.gimbal_id,
+            manager_component=choice.manager,
+            device_id=choice.device_id,
+            vendor=choice.vendor,
+            model=choice.model,
+            feedback=await self._find_feedback(choice.device_id),
+        )
+        self._known.feedback = self._found.feedback
+        return self._found
+
+    async def _ask_limits(self, manager: int) -> bool:
+        """Ask a manager for its limits; returns whether it is one."""
+        try:
             self._information(
                 await self._link.requests.message(MANAGER_INFORMATION, "GIMBAL_MANAGER_INFORMATION", component=manager)
             )
+        except DeviceError:  # then no limits are known
+            return False
+        return True
 
     async def _ask_status(self, manager: int) -> None:
         with contextlib.suppress(DeviceError):  # it streams too
             await self._link.requests.message(MANAGER_STATUS, "GIMBAL_MANAGER_STATUS", component=manager)
 
     async def _find_feedback(self, device_id: int) -> Feedback:
-        """The mount's kind of feedback; ArduPilot sets the vehicle frame even without feedback (see docs)."""
+        """The kind of the reports; what the autopilot itself reports may be what it demands."""
+        frame: YawFrame | None = None
+        if self._reports.source_component == AUTOPILOT:
+            self._known.echo, frame = await echo_by_parameters(
+                self._link.requests.parameter, ardupilot=self._link.is_ardupilot, device_id=device_id
+            )
         if self._feedback_wanted is not None:
             return self._feedback_wanted
-        stated: Feedback = "earth" if self._stated is YawFrame.EARTH else "vehicle"
-        if not self._link.is_ardupilot or self._buffer.source_component != AUTOPILOT:
-            return stated
-        kind = await self._link.requests.parameter(f"MNT{max(device_id, 1)}_TYPE")
-        if kind == _SERVO:
-            self._frame = YawFrame.BODY
-            return "body"
-        return "none" if kind == _BRUSHLESS_PWM else stated
+        self._reports.frame = frame
+        if self._known.echo:
+            _log.warning("the gimbal's reports are no feedback", reason=self._known.echo)
+            return "none"
+        return "earth" if self._reports.stated is YawFrame.EARTH else "vehicle"
 
     def _why_not_found(self) -> str:
         if not self._link.connected:
             return "no heartbeat from the autopilot"
-        if self._sample_s == -math.inf:
+        if not self._reports.has_any:
             return (
                 "GIMBAL_DEVICE_ATTITUDE_STATUS (285) is not received; ArduPilot: set MNT1_TYPE and reboot; "
                 "PX4: set MNT_MODE_OUT and MNT_MODE_IN to MAVLink gimbal protocol v2"
             )
+        if self.candidates and not self._usable():
+            return (
+                f"[gimbal] manager = {self._manager}, device = {self._device} is none of"
+                f" {'; '.join(one.describe() for one in self.candidates)}"
+            )
         return "its attitude arrives, but no gimbal manager answers the request for GIMBAL_MANAGER_INFORMATION (280)"
-
-    @staticmethod
-    def _holder(status: ControlStatus) -> tuple[int, int]:
-        return status.sysid_primary_control, status.compid_primary_control

@@ -162,7 +162,34 @@ class Warned(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GimbalAcquired(Event):
-    """The gimbal manager confirmed panoexec as primary control."""
+    """The gimbal manager confirmed panoexec as primary control.
+
+    Attributes:
+        manager: MAVLink component of the manager; 0 if unknown.
+        device: MAVLink component whose attitude counts; 0 if unknown.
+        device_id: its gimbal device id.
+        feedback: kind of its reports: `earth`, `vehicle`, `body`, `none`; "" if unknown.
+    """
+
+    manager: Whole = 0
+    device: Whole = 0
+    device_id: Whole = 0
+    feedback: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GimbalContradicted(Event):
+    """Gimbal and autopilot contradict each other about the vehicle's heading by more than the yaw tolerance.
+
+    Attributes:
+        north_off_deg: heading as the gimbal tells it minus that of the autopilot.
+        corrected: the gimbal's reports are corrected by it.
+        text: for the pilot.
+    """
+
+    north_off_deg: Number
+    corrected: Flag
+    text: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -306,13 +333,26 @@ class ShotRejected(ShotEvent):
     """The attempt is rejected.
 
     Attributes:
-        code: `not_settled`, `pointing`, `no_samples`, `trigger`, `evidence`, `gimbal`, `vehicle`, `crash`.
+        code: `not_settled`, `pointing`, `no_samples`, `trigger`, `evidence`, `gimbal`, `vehicle`, `echo`, `crash`.
         reason: for the pilot, with figures.
     """
 
     code: str
     reason: str
     photos: tuple[Photo, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShotRevoked(ShotEvent):
+    """An accepted attempt does not count any more, because of what became known later; its shot is missing again.
+
+    Attributes:
+        code: `echo`: the gimbal's reports repeat the command, so the pose was never verified.
+        reason: for the pilot.
+    """
+
+    code: str
+    reason: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

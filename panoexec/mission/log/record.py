@@ -166,6 +166,10 @@ class MissionRecord:
         """This process controls the gimbal."""
         self.gimbal_left = False
         """An earlier process ended without releasing the gimbal."""
+        self.gimbal: ev.GimbalAcquired | None = None
+        """The gimbal that was acquired last."""
+        self.contradiction: ev.GimbalContradicted | None = None
+        """The last contradiction between gimbal and autopilot."""
         self.open_loop = False
         self.certified: bool | None = None
         self.warnings: list[str] = []
@@ -213,6 +217,10 @@ class MissionRecord:
                 self.current = None
             case ev.GimbalAcquired():
                 self.gimbal_held = True
+                self.gimbal = event
+            case ev.GimbalContradicted():
+                self.contradiction = event
+                self.warnings.append(event.text)
             case ev.GimbalReleased():
                 self.gimbal_held = self.gimbal_left = False
             case ev.Warned():
@@ -281,7 +289,9 @@ class MissionRecord:
                 attempt.verdict, attempt.by, attempt.photos = Verdict.ACCEPTED, event.by, event.photos
                 record.status, record.reason = ShotStatus.ACCEPTED, ""
                 self.last_accepted = event.shot
-                self._done.add(event.shot)  # final: an accepted shot can be repeated but not revoked
+                self._done.add(event.shot)
+            case ev.ShotRevoked():
+                self._revoke(event, record)
             case ev.ShotRejected():
                 attempt = self._open(event)
                 attempt.verdict, attempt.code, attempt.reason = Verdict.REJECTED, event.code, event.reason
@@ -293,6 +303,17 @@ class MissionRecord:
                 record.status = ShotStatus.PENDING
             case _:
                 self._apply_decision(event, record)
+
+    def _revoke(self, event: ev.ShotRevoked, record: ShotRecord) -> None:
+        attempts = record.attempts
+        if not 1 <= event.attempt <= len(attempts) or attempts[event.attempt - 1].verdict is not Verdict.ACCEPTED:
+            raise ValueError(f"shot {event.shot}: {event.type} for attempt {event.attempt}, which is not accepted")
+        attempt = attempts[event.attempt - 1]
+        attempt.verdict, attempt.code, attempt.reason = Verdict.REJECTED, event.code, event.reason
+        if record.accepted is None:
+            self._done.discard(event.shot)
+            if record.status is ShotStatus.ACCEPTED:
+                record.status, record.reason = ShotStatus.PENDING, event.reason
 
     def _apply_decision(self, event: ev.ShotEvent, record: ShotRecord) -> None:
         match event:

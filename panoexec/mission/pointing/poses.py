@@ -34,6 +34,10 @@ GIMBAL_FAILURES: dict[int, str] = {
 """GIMBAL_DEVICE_ERROR_FLAGS that make a pose unusable; the others (at a limit, no manager) do not."""
 
 
+RATE_INTERVALS = 16
+"""Number of intervals between samples from which the rate of the stream is told."""
+
+
 @dataclass(frozen=True, slots=True)
 class Reading:
     """A sample converted to the plan's frame, or the reason why it is unusable.
@@ -140,6 +144,7 @@ class PoseReader:
 
     LEARN_PAIRS = 50
     REPEATS_FRAC = 0.1
+    HELD_FRAC = 0.4
     FROZEN_RUN = 4
 
     def __init__(self, *, feed: AttitudeFeed, reference_yaw_north_deg: float) -> None:
@@ -152,6 +157,19 @@ class PoseReader:
         self._run = 1
         self._pairs = 0
         self._repeats = 0
+        self._intervals: deque[float] = deque(maxlen=RATE_INTERVALS)
+
+    @property
+    def interval_s(self) -> float:
+        """Median time between the newest samples, seconds; NaN before there are enough."""
+        if len(self._intervals) < RATE_INTERVALS // 2:
+            return math.nan
+        return sorted(self._intervals)[len(self._intervals) // 2]
+
+    @property
+    def holds(self) -> bool:
+        """Whether samples are known to be repeated until something new is known: what they tell is of earlier."""
+        return self._pairs >= RATE_INTERVALS // 2 and self._repeats > self.HELD_FRAC * self._pairs
 
     @property
     def measures(self) -> bool:
@@ -175,6 +193,8 @@ class PoseReader:
         samples = list(self._feed.since(max(self._newest_s, since_s - 1.0) - 1e-9))
         known = next((i for i, sample in enumerate(samples) if sample is self._newest), -1)
         for sample in samples[known + 1 :]:
+            if known >= 0 or self._newest is not None:
+                self._intervals.append(sample.received_s - self._newest_s)
             self._newest, self._newest_s = sample, sample.received_s
             reading = read_pose(sample, self._feed.vehicle_attitude_at(sample), self._reference)
             self._readings.append(self._checked(sample.q_wxyz, reading))

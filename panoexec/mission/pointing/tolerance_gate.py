@@ -26,6 +26,25 @@ from panoexec.mission.pointing.poses import Reading, mean_pose
 from panoexec.planning.geometry.pose_error import PoseError, pose_error
 from panoexec.planning.model import Tolerance
 
+DENSE_GAP_S = 0.1
+"""Readings that are closer leave no room for a motion between them that matters."""
+SPARSE_INTERVALS = 2.5
+"""A stream may have gaps of so many of its own intervals: one message is lost now and then."""
+
+
+def allowed_gap_s(interval_s: float, *, max_gap_s: float) -> float:
+    """The longest gap that a stream may have during an exposure.
+
+    Args:
+        interval_s: between its samples; NaN if unknown.
+        max_gap_s: configured.
+
+    Returns:
+        `DENSE_GAP_S`, or more for a stream that is slower by nature; never more than `max_gap_s`.
+    """
+    own_s = SPARSE_INTERVALS * interval_s if math.isfinite(interval_s) else 0.0
+    return min(max_gap_s, max(DENSE_GAP_S, own_s))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
@@ -190,6 +209,10 @@ def judge_window(
     The window is verified when a reading lies at most `max_gap_s` before its start, no reading is out of tolerance, and
     no gap between readings exceeds `max_gap_s`: a deviation that lasts longer than that is detected.
 
+    With gaps above `DENSE_GAP_S` the readings must bracket the window, and the error between two of them must be
+    inside tolerance as well: at most the larger of theirs plus half the gap times the angular speed (the larger of the
+    reported ones and the one from reading to reading).
+
     Args:
         readings: oldest first; those well before or after the window are ignored.
         target: the commanded pose.
@@ -200,6 +223,9 @@ def judge_window(
     ordered = list(readings)
     before = [r for r in ordered if start_s - max_gap_s <= r.time_s <= start_s][-1:]
     judged = before + [r for r in ordered if start_s < r.time_s <= end_s]
+    sparse = bool(before) and _widest_gap_s([*(r.time_s for r in judged), end_s]) > DENSE_GAP_S + 1e-6
+    after = [r for r in ordered if end_s < r.time_s <= end_s + max_gap_s][:1] if sparse else []
+    judged += after
     usable = np.array([r.rotation for r in judged if r.rotation is not None]).reshape(-1, 3, 3)
     errors = pose_error(target.pitch_deg, target.yaw_deg, usable) if len(usable) else None
     code = reason = ""
@@ -210,11 +236,16 @@ def judge_window(
     elif not before:
         code, reason = "no_samples", f"no attitude sample in the {max_gap_s:g} s before the exposure"
     else:
-        times = [start_s, *(r.time_s for r in judged[1:]), end_s]
-        gap = max(b - a for a, b in itertools.pairwise(times))
+        inside = judged[1 : len(judged) - len(after)]
+        gap = _widest_gap_s([start_s, *(r.time_s for r in inside), end_s])
         if gap > max_gap_s:
             code = "no_samples"
             reason = f"no attitude sample for {gap:.2f} s of the exposure (at most {max_gap_s:g} s)"
+        elif sparse and not after:
+            code = "no_samples"
+            reason = f"no attitude sample in the {max_gap_s:g} s after the exposure, and those in it are few"
+        elif sparse and errors is not None:
+            code, reason = _between_samples(judged, errors, target.tolerance)
     return WindowVerdict(
         ok=not reason,
         reason=reason,
@@ -224,6 +255,37 @@ def judge_window(
         errors=worst_errors(errors) if errors is not None else None,
         spread_deg=float(np.max(angle_between(usable[0, :, 0], usable[:, :, 0]))) if len(usable) else math.nan,
     )
+
+
+def _widest_gap_s(times_s: list[float]) -> float:
+    return max((b - a for a, b in itertools.pairwise(times_s)), default=0.0)
+
+
+def _between_samples(judged: list[Reading], errors: PoseError, tolerance: Tolerance) -> tuple[str, str]:
+    """Code and reason if the pose may be out of tolerance between two readings that are far apart; ("", "") if not."""
+    limits = (tolerance.pitch_deg, tolerance.roll_deg, tolerance.yaw_deg)
+    axes = [np.abs(values) for values in (errors.pitch_deg, errors.roll_deg, errors.yaw_deg)]
+    for i, (a, b) in enumerate(itertools.pairwise(judged)):
+        gap = b.time_s - a.time_s
+        if gap <= DENSE_GAP_S + 1e-6:
+            continue
+        moved = _rotation_deg(a, b)
+        fastest = max([moved / gap, *(r.rate_deg_s for r in (a, b) if math.isfinite(r.rate_deg_s))])
+        margin = fastest * gap / 2
+        for axis, values, limit in zip(("pitch", "roll", "yaw"), axes, limits, strict=True):
+            error = float(max(values[i], values[i + 1])) + margin
+            if error > limit:
+                return "pointing", (
+                    f"{axis} may be off by {error:.3g}° between two samples {gap:.2f} s apart (at most {limit:g}°)"
+                )
+    return "", ""
+
+
+def _rotation_deg(a: Reading, b: Reading) -> float:
+    assert a.rotation is not None
+    assert b.rotation is not None
+    chord = float(np.linalg.norm(a.rotation - b.rotation)) / math.sqrt(8.0)
+    return math.degrees(2 * math.asin(min(chord, 1.0)))
 
 
 def worst_errors(errors: PoseError) -> AxisErrors:

@@ -11,13 +11,14 @@ from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import Faults
 from panoexec.sim.mavlink.component import NAN, Command, Component, bitmask, command_of
 from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.mavlink.gimbal_beside import own_manager
+from panoexec.sim.mavlink.mount_reports import stepped
 from panoexec.sim.mavlink.wire import Link, Message, Sender
 from panoexec.sim.physics.gimbal import Angles, GimbalPhysics, Rates, Target, angles_of, body_rates, quaternion
 from panoexec.sim.physics.world import Repeater, Timeline
 
 COMPONENT_ID = mavlink.MAV_COMP_ID_GIMBAL
 VENDOR, MODEL = "panoexec", "simulated gimbal"
-_ATTITUDE_S = 0.02
 _LIMIT_MARGIN_DEG = 0.05
 """ArduPilot truncates the limits to whole degrees: an exact -90 would become -89 and exclude the nadir."""
 _UID = 0x50414E4F0154
@@ -70,13 +71,18 @@ class GimbalComponent:
             }
         )
         self._attitude_stream = Repeater(timeline, self._stream_attitude)
+        self._manager = own_manager(
+            config, component=self._component, physics=physics, timeline=timeline, obey=self._obey
+        )
         self._frozen: Angles | None = None
         self._frozen_nose_deg = 0.0
 
     def start(self) -> None:
         """Start the heartbeat and the attitude stream; a gimbal device sends both without a request."""
         self._component.start(phase_s=0.3)
-        self._attitude_stream.start(_ATTITUDE_S)
+        self._attitude_stream.start(1 / self.physics.config.report_hz)
+        if self._manager is not None:
+            self._manager.start()
 
     def measured(self) -> Angles:
         """A measurement at this moment, yaw relative to the vehicle's nose; includes the effects of faults."""
@@ -91,7 +97,12 @@ class GimbalComponent:
         return self._fresh()
 
     def _fresh(self) -> Angles:
-        yaw, roll, pitch = self.physics.measure()
+        c = self.physics.config
+        if c.report_target:
+            target = self.physics.target
+            nose = self.physics.nose_deg if target.yaw_lock else 0.0
+            return Angles(target.yaw_deg - nose, target.roll_deg, target.pitch_deg)
+        yaw, roll, pitch = stepped(self.physics.measure(), c.report_step_deg)
         return Angles(yaw - self.physics.nose_deg, roll, pitch)
 
     def receive(self, message: Message) -> None:
@@ -111,8 +122,28 @@ class GimbalComponent:
             self._command(command)
 
     def _command(self, command: Command) -> None:
+        result = self._rate(command)
+        if result is None and self._manager is not None:
+            result = self._manager.command(command)
+        if result is not None:
+            self._component.acknowledge(command, result)
+            return
         result = self._component.common_command(command, unknown_message=mavlink.MAV_RESULT_UNSUPPORTED)
         self._component.acknowledge(command, mavlink.MAV_RESULT_UNSUPPORTED if result is None else result)
+
+    def _rate(self, command: Command) -> int | None:
+        """SET_MESSAGE_INTERVAL of its attitude stream: 0 is its own rate, -1 stops it; None for other commands."""
+        number, interval_us = int(command.params[0]), command.params[1]
+        is_rate = command.id == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+        if not is_rate or number != mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS:
+            return None
+        if not self.physics.config.report_obeys:
+            return int(mavlink.MAV_RESULT_UNSUPPORTED)
+        if interval_us < 0:
+            self._attitude_stream.stop()
+        else:
+            self._attitude_stream.start(interval_us / 1e6 if interval_us else 1 / self.physics.config.report_hz)
+        return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def _obey(self, message: Message) -> None:
         flags = message.flags
@@ -124,7 +155,9 @@ class GimbalComponent:
         q = tuple(message.q)
         if all(math.isfinite(part) for part in q) and sum(part * part for part in q) > 0.5:
             yaw, roll, pitch = angles_of(q)
-            if lock and not earth:
+            if lock and earth:
+                yaw -= self.physics.config.north_off_deg
+            elif lock:
                 yaw += self.physics.nose_deg
             elif earth and not lock:
                 yaw -= self.physics.nose_deg
@@ -155,11 +188,15 @@ class GimbalComponent:
         yaw_s, roll_s, pitch_s = self.physics.rates
         relative_s = yaw_s - turning if self.physics.config.pans else 0.0
         rates = body_rates(measured, Rates(relative_s, roll_s, pitch_s))
+        frame, off_deg = _FRAME_VEHICLE, self.physics.config.north_off_deg
+        if off_deg:
+            frame, nose_deg = _FRAME_EARTH, nose_deg + off_deg
+            measured = Angles(measured.yaw_deg + nose_deg, measured.roll_deg, measured.pitch_deg)
         return mavlink.MAVLink_gimbal_device_attitude_status_message(
             0,
             0,
             self._boot_ms(),
-            _LOCKS_LEVEL | _FRAME_VEHICLE | (_LOCK_YAW if lock else 0),
+            _LOCKS_LEVEL | frame | (_LOCK_YAW if lock else 0),
             quaternion(measured),
             *rates,
             0,

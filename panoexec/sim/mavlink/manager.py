@@ -13,9 +13,10 @@ from collections.abc import Callable
 from panoexec.sim.config import SimConfig
 from panoexec.sim.mavlink.component import NAN, Command, bitmask
 from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.mavlink.mount_reports import DriverReports, demanded
 from panoexec.sim.mavlink.wire import Message
 from panoexec.sim.physics.airframe import AirframeState
-from panoexec.sim.physics.gimbal import Angles, GimbalPhysics, Rates, Target, quaternion
+from panoexec.sim.physics.gimbal import Angles, GimbalPhysics, Rates, Target, angles_of, quaternion
 
 _LOCK_YAW = mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK
 _LEVEL = mavlink.GIMBAL_MANAGER_FLAGS_ROLL_LOCK | mavlink.GIMBAL_MANAGER_FLAGS_PITCH_LOCK
@@ -55,10 +56,24 @@ class GimbalManager:
         *,
         physics: GimbalPhysics,
         boot_ms: Callable[[], int],
-        airframe_state: Callable[[], AirframeState],
+        airframe_state: Callable[[], AirframeState] | None,
         to_device: Callable[[Message], None] | None,
         changed: Callable[[Message], None],
+        device_id: int | None = None,
     ) -> None:
+        """Create it.
+
+        Args:
+            config: of the vehicle.
+            physics: the gimbal's mechanics.
+            boot_ms: milliseconds since the boot of its component.
+            airframe_state: attitude of the vehicle, for demanded angles; None: not needed.
+            to_device: sends a message to the gimbal device; None: it drives the gimbal directly.
+            changed: takes a status that changed.
+            device_id: gimbal device id; None: as the autopilot numbers it.
+        """
+        self._own_device_id = device_id
+        self._driver = DriverReports(config.gimbal, physics=physics, now=lambda: boot_ms() / 1000)
         self._config = config
         self._physics = physics
         self._boot_ms = boot_ms
@@ -78,6 +93,8 @@ class GimbalManager:
     @property
     def device_id(self) -> int:
         """The gimbal device id in the manager's messages."""
+        if self._own_device_id is not None:
+            return self._own_device_id
         return int(mavlink.MAV_COMP_ID_GIMBAL) if self._is_px4 and self._to_device else 1
 
     def forget(self) -> None:
@@ -181,13 +198,28 @@ class GimbalManager:
             )
         )
 
+    def poll_driver(self) -> None:
+        """The driver of a mount without a component gets the gimbal's angles."""
+        self._driver.poll()
+
     def device_reported(self, message: Message) -> None:
-        """The device's own GIMBAL_DEVICE_ATTITUDE_STATUS (285)."""
-        self._reported = tuple(message.q)
+        """GIMBAL_DEVICE_ATTITUDE_STATUS (285) of a device; only that of the first gimbal is of interest."""
+        if message.get_srcComponent() != mavlink.MAV_COMP_ID_GIMBAL:
+            return
+        w, x, y, z = message.q
+        self._reported = (w, x, y, z)
+        if message.flags & mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_EARTH_FRAME and math.isfinite(message.delta_yaw):
+            yaw, roll, pitch = angles_of((w, x, y, z))
+            self._reported = quaternion(Angles(yaw - math.degrees(message.delta_yaw), roll, pitch))
 
     def attitude_status(self) -> Message | None:
         """GIMBAL_DEVICE_ATTITUDE_STATUS under the autopilot's id: the device's last one, or the servos' demand."""
-        q = self._reported if self._to_device is not None else self._demanded()
+        if self._config.mount == "echo":
+            return self._echo()
+        if self._config.mount == "driver":
+            q = self._driver.latest()
+        else:
+            q = self._reported if self._to_device is not None else self._demanded()
         if q is None:
             return None
         flags = _LEVEL | mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
@@ -197,8 +229,20 @@ class GimbalManager:
             0, 0, self._boot_ms(), flags, q, NAN, NAN, NAN, 0, NAN, NAN, self.device_id
         )
 
+    def _echo(self) -> Message:
+        """The demanded angles; PX4 sets no frame flag, so that the lock of the yaw tells the frame."""
+        flags = _LEVEL | (0 if self._is_px4 else mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME)
+        if self._target.yaw_lock:
+            flags |= mavlink.GIMBAL_DEVICE_FLAGS_YAW_LOCK
+        q = demanded(self._target, self._physics.nose_deg, earth=self._is_px4 and self._target.yaw_lock)
+        rates = (0.0,) * 3 if self._is_px4 else (NAN,) * 3
+        return mavlink.MAVLink_gimbal_device_attitude_status_message(
+            0, 0, self._boot_ms(), flags, q, *rates, 0, NAN, NAN, self.device_id
+        )
+
     def _demanded(self) -> tuple[float, ...]:
         """The servo angles that point the camera at the setpoint, relative to the *airframe*: not measured."""
+        assert self._airframe_state is not None
         target, state = self._target, self._airframe_state()
         # the servo mount reports no rate: while it moves at a rate, its demand is the current angle
         physics = self._physics.estimate

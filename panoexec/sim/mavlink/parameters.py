@@ -17,7 +17,7 @@ class Parameters:
         if config.autopilot == "ardupilot":
             self._values: dict[str, float] = {
                 "SYSID_THISMAV": config.system_id,
-                "MNT1_TYPE": 6 if config.mount == "mavlink" else 1,
+                "MNT1_TYPE": {"mavlink": 6, "servo": 1, "driver": 8, "echo": 7}[config.mount],
                 "MNT1_PITCH_MIN": gimbal.pitch.min_deg,
                 "MNT1_PITCH_MAX": gimbal.pitch.max_deg,
                 "MNT1_YAW_MIN": gimbal.yaw.min_deg,
@@ -27,7 +27,14 @@ class Parameters:
                 "CAM1_FEEDBAK_PIN": -1.0,
             }
         else:
-            self._values = {"MAV_SYS_ID": config.system_id, "MNT_MODE_IN": 4, "MNT_MODE_OUT": 2}
+            self._values = {
+                "MAV_SYS_ID": config.system_id,
+                "MNT_MODE_IN": 4,
+                "MNT_MODE_OUT": 0 if config.mount == "echo" else 2,
+            }
+        if not config.mount_told:
+            self._values.pop("MNT1_TYPE", None)
+            self._values.pop("MNT_MODE_OUT", None)
 
     def answers(self, message: Message) -> list[Message]:
         """The reply to a PARAM_REQUEST_READ, PARAM_REQUEST_LIST or PARAM_SET; empty for other messages."""

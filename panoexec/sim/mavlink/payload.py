@@ -10,6 +10,7 @@ from collections.abc import Callable
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import Faults
 from panoexec.sim.mavlink.camera_component import CameraComponent, Fix
+from panoexec.sim.mavlink.gimbal_beside import SecondGimbal, Stranger
 from panoexec.sim.mavlink.gimbal_component import GimbalComponent
 from panoexec.sim.mavlink.released_camera import ReleasedCamera
 from panoexec.sim.mavlink.wire import Link, Message
@@ -23,6 +24,8 @@ class Payload:
 
     Attributes:
         gimbal: component 154.
+        second: another gimbal; None if there is none.
+        stranger: a component that tells wrong attitudes; None if there is none.
         camera: component 100.
         released: instead of that, a camera that an autopilot triggers by a contact; None if there is none.
     """
@@ -39,6 +42,12 @@ class Payload:
         develop: Callable[[Exposure, Fix], str],
     ) -> None:
         self.gimbal = GimbalComponent(config, timeline=timeline, physics=physics, faults=faults, link=link)
+        self.second: SecondGimbal | None = None
+        self.stranger: Stranger | None = None
+        if config.gimbal_beside == "second":
+            self.second = SecondGimbal(config, timeline=timeline, link=link)
+        elif config.gimbal_beside == "stranger":
+            self.stranger = Stranger(config, timeline=timeline, physics=physics, faults=faults, link=link)
         self.released: ReleasedCamera | None = None
         if config.camera_kind == "servo" and config.attach_url is not None:
             self.released = ReleasedCamera(config, timeline=timeline, physics=physics, faults=faults, develop=develop)
@@ -46,9 +55,17 @@ class Payload:
             config, clock=clock, timeline=timeline, gimbal=self.gimbal, faults=faults, link=link, develop=develop
         )
 
+    def start_gimbals(self) -> None:
+        """Start the gimbal and what is beside it."""
+        self.gimbal.start()
+        if self.second is not None:
+            self.second.start()
+        if self.stranger is not None:
+            self.stranger.start()
+
     def start(self) -> None:
         """Start heartbeats and streams."""
-        self.gimbal.start()
+        self.start_gimbals()
         if self.released is None:
             self.camera.start()
 
@@ -56,6 +73,8 @@ class Payload:
         """Handle a message from the link."""
         del frame
         self.gimbal.receive(message)
+        if self.second is not None:
+            self.second.receive(message)
         if self.released is None:
             self.camera.receive(message)
         else:

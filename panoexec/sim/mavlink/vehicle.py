@@ -108,6 +108,8 @@ class Vehicle:
                 component.builders.update(trigger.builders())
         self._parameters = Parameters(config)
         self._target_repeater = Repeater(timeline, self.manager.send_target)
+        if config.mount == "driver":
+            Repeater(timeline, self.manager.poll_driver).start(1 / config.gimbal.report_hz)
 
     def _component(self, link: Link) -> Component:
         gate = _GatedLink(link, self)
@@ -120,10 +122,18 @@ class Vehicle:
             return self.manager.attitude_status()
 
         return {
-            mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION: self.manager.information,
+            mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION: self._manager_information,
             mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_STATUS: self.manager.status,
             mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: attitude,
         }
+
+    def _manager_information(self) -> Message:
+        """GIMBAL_MANAGER_INFORMATION (280); as ArduPilot, it sends one for each gimbal that it drives."""
+        if self._config.gimbal_beside == "second" and self._config.autopilot == "ardupilot":
+            second = self.manager.information()
+            second.gimbal_device_id = 2
+            self._ground.send(second)
+        return self.manager.information()
 
     def boot_ms(self) -> int:
         """Milliseconds since the autopilot's last boot."""
@@ -141,7 +151,7 @@ class Vehicle:
         self._start_streams()
 
     def _start_streams(self) -> None:
-        if self._config.mount == "mavlink":
+        if self._config.mount == "mavlink" and self._config.gimbal_beside != "only-manager":
             self._payload.streams.set_interval(
                 mavlink.MAVLINK_MSG_ID_AUTOPILOT_STATE_FOR_GIMBAL_DEVICE, _STATE_FOR_GIMBAL_US
             )
@@ -226,6 +236,8 @@ class Vehicle:
         if common is not None:
             return common
         if command.id in (mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE):
+            if self._config.gimbal_beside == "only-manager":
+                return _DENIED
             return self.manager.command(command)
         if self._trigger is not None and command.id in self._trigger.commands:
             return self._trigger.command(command)

@@ -202,13 +202,13 @@ class GimbalPhysics:
             self._yaw.place(self._nose_deg)
             self._yaw.rate_deg_s = vehicle_rate
         elif rates is None:
-            self._yaw.step(self._yaw_goal(), gusts[0], dt, self.slowness)
+            self._yaw.step(self._yaw_goal() + self.config.steady_error_deg, gusts[0], dt, self.slowness)
         else:
             yaw_rate = rates.yaw_deg_s + (0.0 if target.yaw_lock else vehicle_rate)
             self._yaw.step(self._yaw_end(yaw_rate), gusts[0], dt, self.slowness, abs(yaw_rate))
         if rates is None:
             self._roll.step(target.roll_deg, gusts[1], dt, self.slowness)
-            self._pitch.step(target.pitch_deg, gusts[2], dt, self.slowness)
+            self._pitch.step(target.pitch_deg + self.config.steady_error_deg, gusts[2], dt, self.slowness)
         else:
             far = _end(rates.roll_deg_s, self.config.roll)
             self._roll.step(far, gusts[1], dt, self.slowness, abs(rates.roll_deg_s))

@@ -15,6 +15,7 @@ from panoexec.devices import (
     AttitudeSample,
     CaptureEvidence,
     EvidenceLevel,
+    GimbalKnowledge,
     Quaternion,
     RecalledPhoto,
     RecalledPhotos,
@@ -126,6 +127,8 @@ class FakeGimbal:
     frozen: bool = False
     nan: bool = False
     stuck: bool = False
+    echoes: bool = False
+    """Whether it reports where it was told to look, instead of where it looks."""
     refusals: int = 0
     refuse_control: int = 0
     failure_flags: int = 0
@@ -139,6 +142,7 @@ class FakeGimbal:
     commands: list[tuple[float, float, float]] = field(default_factory=list)
     nose: Callable[[float], float] | None = None
     """Heading of the vehicle at a time: the camera looks there when told no yaw, and its pan range is about it."""
+    known: GimbalKnowledge = field(default_factory=GimbalKnowledge)
     _follows: bool = False
     _under_way: deque[AttitudeSample] = field(default_factory=deque)
     acquired: int = 0
@@ -170,7 +174,7 @@ class FakeGimbal:
         return yaw, pitch, 0.0
 
     def _angles(self, at_s: float) -> Angles:
-        yaw, pitch, roll = self.commanded(at_s)
+        yaw, pitch, roll = self._end if self.echoes else self.commanded(at_s)
         if self.drift is None:
             return yaw, pitch, roll
         d = self.drift(at_s)

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from panoexec.devices import AttitudeFeed, PendingCapture, RecalledPhotos
+from panoexec.devices import AttitudeFeed, GimbalKnowledge, PendingCapture, RecalledPhotos
 from panoexec.errors import DeviceError
 from panoexec.mission.executor import Mission
 from panoexec.mission.log.events import Event
@@ -53,6 +53,10 @@ class _Gimbal:
     @property
     def feed(self) -> AttitudeFeed:
         return self._real.feed
+
+    @property
+    def known(self) -> GimbalKnowledge:
+        return self._real.known
 
     @property
     def limits(self) -> GimbalLimits | None:

@@ -177,3 +177,16 @@ def test_after_a_reboot_old_stamps_mean_nothing() -> None:
     newest = buffer.latest
     assert newest is not None
     assert buffer.vehicle_attitude_at(newest) is None
+
+
+def test_a_pinned_source_is_the_only_one_for_good() -> None:
+    buffer = AttitudeBuffer()
+    buffer.put_sample(sample(1.0), AUTOPILOT)
+    buffer.pin(DEVICE)
+    assert buffer.since(0.0) == [], "the samples of another component are forgotten"
+    assert buffer.put_sample(sample(1.1), DEVICE)
+    for time_s in (1.2, 5.0, 100.0):
+        assert not buffer.put_sample(sample(time_s), AUTOPILOT)
+        assert not buffer.put_sample(sample(time_s), 155)
+    assert buffer.source_component == DEVICE
+    assert [s.received_s for s in buffer.since(0.0)] == [1.1]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from panoexec.adapters.gimbal.dejitter import StampDejitter
+from panoexec.adapters.gimbal.dejitter import StampCheck, StampDejitter
 
 PERIOD_S = 0.02
 
@@ -62,3 +62,34 @@ def test_never_later_than_the_arrival_and_never_back(steps: list[tuple[float, fl
         assert before <= told <= received_s
         assert told >= sent_s - 1e-9
         before = told
+
+
+def fits(*stamps_and_arrivals: tuple[float, float]) -> list[bool]:
+    check = StampCheck()
+    return [check.fits(stamp, arrival) for stamp, arrival in stamps_and_arrivals]
+
+
+def test_one_stamp_from_the_future_or_the_past_is_dropped() -> None:
+    assert fits((10.0, 0.0), (10.02, 0.02), (500.0, 0.03), (10.04, 0.04), (2.0, 0.05), (10.06, 0.06)) == [
+        True,
+        True,
+        False,
+        True,
+        False,
+        True,
+    ]
+
+
+def test_a_clock_that_was_set_is_believed_after_three_messages() -> None:
+    rebooted = [(100.0, 0.0), (100.02, 0.02), (0.5, 3.0), (0.52, 3.02), (0.54, 3.04), (0.56, 3.06)]
+    assert fits(*rebooted) == [True, True, False, False, True, True]
+
+
+def test_forged_stamps_that_do_not_go_on_are_never_believed() -> None:
+    stream = [item for n in range(50) for item in ((10 + n / 50, n / 50), (1e4 + 7.0 * n, n / 50 + 0.01))]
+    assert fits(*stream) == [True, False] * 50
+
+
+def test_a_slow_clock_and_a_silence_fit() -> None:
+    assert all(fits(*((10 + 0.9 * t, float(t)) for t in (0, 1, 2, 30, 31))))
+    assert all(fits((math.nan, 0.0), (0.0, 1.0), (math.nan, 9.0)))

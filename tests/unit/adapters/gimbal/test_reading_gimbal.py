@@ -17,6 +17,7 @@ class FakeLink:
     def __init__(self) -> None:
         self.handlers: dict[str, Handler] = {}
         self.streams = SimpleNamespace(throttled={})
+        self.components: dict[int, tuple[int, float]] = {}
 
     def on(self, name: str, handler: Handler) -> Callable[[], None]:
         self.handlers[name] = handler

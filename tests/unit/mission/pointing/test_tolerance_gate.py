@@ -21,7 +21,13 @@ from panoexec.mission.pointing.poses import (
     read_pose,
     to_north,
 )
-from panoexec.mission.pointing.tolerance_gate import SettleLimits, SettleTracker, Target, judge_window
+from panoexec.mission.pointing.tolerance_gate import (
+    SettleLimits,
+    SettleTracker,
+    Target,
+    allowed_gap_s,
+    judge_window,
+)
 from panoexec.planning.model import Tolerance
 from tests.unit.fakes.devices import FakeFeed
 from tests.unit.fakes.virtual import VirtualClock
@@ -335,3 +341,44 @@ def test_samples_that_share_a_stamp_are_all_read_and_none_twice() -> None:
         feed.push(AttitudeSample(stamp, stamp, _q(rotation(i * 0.01, -20.0)), YawFrame.EARTH, 0.0))
         assert len(reader.since(0.0)) == i + 1
     assert len(reader.since(0.2)) == 1
+
+
+# --- streams that are slow by nature
+
+
+def _sparse(
+    times: list[float], pitches: list[float] | None = None, rates: list[float] | None = None
+) -> tuple[bool, str, str]:
+    pitches = pitches or [0.0] * len(times)
+    rates = rates or [math.nan] * len(times)
+    readings = [
+        Reading(time_s, rotation(0.0, pitch), rate) for time_s, pitch, rate in zip(times, pitches, rates, strict=True)
+    ]
+    target = Target(pitch_deg=0.0, yaw_deg=0.0, tolerance=Tolerance(pitch_deg=0.1, roll_deg=0.1, yaw_deg=0.7))
+    verdict = judge_window(readings, target=target, start_s=1.0, end_s=1.12, max_gap_s=0.25)
+    return verdict.ok, verdict.code, verdict.reason
+
+
+def test_ten_reports_a_second_prove_an_exposure_that_they_bracket() -> None:
+    assert _sparse([0.95, 1.06, 1.17])[0]
+    assert _sparse([0.9, 1.13])[0], "one is lost"
+    assert _sparse([0.95, 1.04]) == (True, "", ""), "never more than a tenth of a second apart"
+    assert _sparse([0.9, 1.01])[:2] == (False, "no_samples"), "nothing behind the exposure"
+    assert _sparse([0.7, 1.13])[:2] == (False, "no_samples"), "too long before"
+
+
+def test_between_reports_far_apart_the_error_is_bounded_by_the_rate() -> None:
+    assert _sparse([0.95, 1.15], [0.02, 0.05])[0]
+    ok, code, reason = _sparse([0.95, 1.15], [-0.07, 0.07])
+    assert (ok, code) == (False, "pointing")
+    assert reason == "pitch may be off by 0.14° between two samples 0.20 s apart (at most 0.1°)"
+    assert _sparse([0.95, 1.15], [0.02, 0.02], [0.0, 0.5])[0]
+    assert _sparse([0.95, 1.15], [0.02, 0.02], [0.0, 1.0])[:2] == (False, "pointing"), "it moves at 1°/s"
+
+
+@pytest.mark.parametrize(
+    ("interval_s", "gap_s"), [(math.nan, 0.1), (0.02, 0.1), (0.05, 0.125), (0.1, 0.25), (0.5, 0.25)]
+)
+def test_only_a_slow_stream_may_have_long_gaps(interval_s: float, gap_s: float) -> None:
+    assert allowed_gap_s(interval_s, max_gap_s=0.25) == pytest.approx(gap_s)
+    assert allowed_gap_s(interval_s, max_gap_s=0.06) == 0.06
