@@ -5,14 +5,25 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
+from typing import Any
 
 from panoexec.errors import UsageError
 from panoexec.optics import Camera
 from panoexec.sim import settings
+from panoexec.sim.camera_kinds import CAMERA_KINDS, kinds_text, with_camera_kind
 from panoexec.sim.config import CameraConfig, SimConfig
 from panoexec.sim.faults import FAULTS, parse_fault
 
 _MAX_SPEEDUP = 100.0
+
+
+class _CameraKind(argparse.Action):
+    """Stores a kind's name, or explains all kinds."""
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, *_: Any) -> None:
+        if values == "help":
+            parser.exit(message=f"{kinds_text()}\n")
+        setattr(namespace, self.dest, values)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,6 +69,13 @@ def add_vehicle_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("mavlink", "servo"),
         default="mavlink",
         help="camera: MAVLink camera, or servo trigger on the autopilot, reported only by CAMERA_FEEDBACK",
+    )
+    vehicle.add_argument(
+        "--camera-kind",
+        action=_CameraKind,
+        metavar="NAME",
+        default="",
+        help="camera as it is sold or wired: " + ", ".join(CAMERA_KINDS) + "; `help` explains them",
     )
     vehicle.add_argument("--wind", type=float, metavar="M_S", help="steady wind in m/s (2)")
     world = parser.add_argument_group("simulated world")
@@ -111,6 +129,8 @@ def config_of(args: argparse.Namespace, camera: CameraConfig | None = None) -> S
         attach_url=args.attach,
         camera=camera or CameraConfig(),
     )
+    if args.camera_kind:
+        config = with_camera_kind(config, args.camera_kind)
     width = _within(args.image_width, 16, config.camera.optics.image_width_px, "--image-width")
     assignments = [f"camera.render_width_px={width}"]
     if args.wind is not None:

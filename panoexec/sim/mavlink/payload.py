@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import Faults
+from panoexec.sim.mavlink.camera_beside import CameraBeside
 from panoexec.sim.mavlink.camera_component import CameraComponent, Fix
 from panoexec.sim.mavlink.gimbal_component import GimbalComponent
 from panoexec.sim.mavlink.released_camera import ReleasedCamera
@@ -23,7 +24,8 @@ class Payload:
 
     Attributes:
         gimbal: component 154.
-        camera: component 100.
+        camera: component 100, or 101 beside another one.
+        beside: what is component 100 then; None if there is none.
         released: instead of that, a camera that an autopilot triggers by a contact; None if there is none.
     """
 
@@ -46,16 +48,28 @@ class Payload:
             config, clock=clock, timeline=timeline, gimbal=self.gimbal, faults=faults, link=link, develop=develop
         )
 
+        self.beside: CameraBeside | None = None
+        if config.camera_beside != "none" and config.camera_kind == "mavlink":
+            self.beside = CameraBeside(config, timeline=timeline, link=link)
+
     def start(self) -> None:
         """Start heartbeats and streams."""
         self.gimbal.start()
         if self.released is None:
-            self.camera.start()
+            self.start_camera()
+
+    def start_camera(self) -> None:
+        """Start the heartbeats of the camera, and of what is beside it, which boots sooner."""
+        if self.beside is not None:
+            self.beside.start()
+        self.camera.start()
 
     def receive(self, message: Message, frame: bytes) -> None:
         """Handle a message from the link."""
         del frame
         self.gimbal.receive(message)
+        if self.beside is not None:
+            self.beside.receive(message)
         if self.released is None:
             self.camera.receive(message)
         else:
