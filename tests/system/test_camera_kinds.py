@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from panoexec.planning.model import Band, Constraints, Plan, Shot, Tolerance
 from panoexec.sim import settings as sim_settings
 from panoexec.sim.camera_kinds import CAMERA_KINDS, with_camera_kind
 from panoexec.sim.config import AirframeConfig, CameraConfig, SimConfig
-from tests.support.truth import untruths
+from tests.support.truth import read_truth, untruths
 
 TOLERANCE = Tolerance(pitch_deg=0.25, roll_deg=0.25, yaw_deg=1.0)
 SHOTS = 7
