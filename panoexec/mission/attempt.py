@@ -63,6 +63,7 @@ class Shooter:
     _ready_s: float = field(default=-math.inf, init=False)
     _pointed: tuple[float, float] | None = field(default=None, init=False)
     _warned_interval_s: float = field(default=0.0, init=False)
+    _last_interval_s: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
         """Begin to read the attitude stream."""
@@ -294,9 +295,13 @@ class Shooter:
         return max(0.0, self._next_trigger_s - self.clock.monotonic())
 
     def interval_warning(self) -> str:
-        """A warning for the operator, once, if the camera needs more time between two photos than configured."""
+        """A warning for the operator if the camera needs more time between two photos than configured.
+
+        Once for a value, which must have stood the test of another photo.
+        """
         known_s = self.camera.interval_s if isinstance(self.camera, PacesPhotos) else 0.0
-        if known_s <= max(self.settings.interval_s, self._warned_interval_s) + INTERVAL_SLACK_S:
+        changed, self._last_interval_s = known_s != self._last_interval_s, known_s
+        if changed or known_s <= max(self.settings.interval_s, self._warned_interval_s) + INTERVAL_SLACK_S:
             return ""
         self._warned_interval_s = known_s
         return (
