@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import AsyncIterator
 from typing import Final
 
 from panoexec.adapters.camera.camera_kind import CameraFound, OpenCamera
@@ -16,35 +18,47 @@ from panoexec.doctor.findings import Findings
 from panoexec.errors import DeviceError, PanoexecError
 from panoexec.inputs.camera_profiles import configured_profile
 from panoexec.inputs.config import Config
-from panoexec.mission.protocols import PacesPhotos, PreparesForPhotos
+from panoexec.mission.protocols import PacesPhotos
 
 _ENOUGH_PHOTOS: Final = 100
 
 
-async def check_camera(link: MavsdkLink, config: Config, findings: Findings, *, patience_s: float, photo: bool) -> None:
-    """Look for the camera that the configuration names, as the daemon does; with `photo` take some to measure it."""
+async def check_camera(
+    link: MavsdkLink,
+    config: Config,
+    findings: Findings,
+    *,
+    patience_s: float,
+    photo: bool,
+    camera: OpenCamera | None = None,
+) -> None:
+    """Look for the camera that the configuration names, as the daemon does; with `photo` take some to measure it.
+
+    Args:
+        link: to the autopilot.
+        config: the daemon's configuration.
+        findings: results are added to it.
+        patience_s: timeout for the camera, seconds of real time.
+        photo: take photos.
+        camera: the open camera, which stays open; None: open the configured one.
+    """
+    opened = open_camera(config.camera, link) if camera is None else contextlib.nullcontext(camera)
     try:
-        async with open_camera(config.camera, link) as camera:
+        async with opened as one:
             try:
-                found = await camera.discover(patience_s)
-            except DeviceError:
-                _list_others(camera, findings)
-                raise
+                found = await one.discover(patience_s)
+            finally:
+                _list_others(one, findings)
             findings.ok("camera", "found", f"{found.label} ({found.why})" if found.why else found.label)
-            _list_others(camera, findings)
             if found.is_two_way:
                 _examine_size(found, config, findings)
-                _examine_room(camera.storage_free_images, findings)
-            is_ready = await _examine_mode(camera, findings)
-            try:
-                _examine_evidence(await camera.best_evidence(), config, findings, may_tell_files=found.may_tell_files)
+                _examine_room(one.storage_free_images, findings)
+            async with _photo_mode(one, findings) as is_ready:
+                _examine_evidence(await one.best_evidence(), config, findings, may_tell_files=found.may_tell_files)
                 if photo and is_ready:
-                    await measure_photos(camera, link.clock, config, findings)
-                elif isinstance(camera, PacesPhotos):
-                    examine_interval(camera.interval_s, config, findings)
-            finally:
-                if isinstance(camera, PreparesForPhotos):
-                    await camera.restore()
+                    await measure_photos(one, link.clock, config, findings)
+                elif isinstance(one, PacesPhotos):
+                    examine_interval(one.interval_s, config, findings)
     except DeviceError as error:
         kind = KINDS[config.camera.trigger]
         if "component = 1" in str(error):  # PX4's own trigger: its parameters may have been set already
@@ -69,20 +83,29 @@ def _list_others(camera: OpenCamera, findings: Findings) -> None:
         findings.note("camera", f"component {one.component}", f"{one.summary}; not used", advice=advice)
 
 
-async def _examine_mode(camera: OpenCamera, findings: Findings) -> bool:
-    """Try photo mode where the camera is in another; whether photos can be taken."""
-    if not isinstance(camera, MavsdkCamera) or camera.mode is None or camera.mode.mode is None:
-        return True
-    before = camera.mode.text
-    if camera.mode.takes_photos:
+@contextlib.asynccontextmanager
+async def _photo_mode(camera: OpenCamera, findings: Findings) -> AsyncIterator[bool]:
+    """Try photo mode where the camera is in another, for the block; whether photos can be taken."""
+    mode = camera.mode if isinstance(camera, MavsdkCamera) else None
+    if mode is None or mode.mode is None:
+        yield True
+        return
+    before = mode.text
+    if mode.takes_photos:
         findings.ok("camera", "mode", before)
-        return True
+        yield True
+        return
+    assert isinstance(camera, MavsdkCamera)
     problem = await camera.prepare()
     if problem:
         findings.missing("camera", "mode", problem, needed="photo mode", advice="set the camera itself to photos")
-        return False
-    findings.note("camera", "mode", f"{before}; photo mode works, and is set for each mission and restored after it")
-    return True
+    else:
+        text = f"{before}; photo mode works, and is set for each mission and restored after it"
+        findings.note("camera", "mode", text)
+    try:
+        yield not problem
+    finally:
+        await camera.restore()
 
 
 def _examine_size(found: CameraFound, config: Config, findings: Findings) -> None:
