@@ -92,6 +92,7 @@ class CaptureEvidence:
         exposed_s: start of the exposure on the mission's clock if it can be told, else NaN.
         exposed_error_s: how far `exposed_s` may be wrong; NaN where it cannot be told.
         contradiction: why this photo may be another one, "" if nothing speaks for that.
+        reported_s: when the first report of the photo arrived: it was not exposed later than that; NaN without one.
     """
 
     level: EvidenceLevel
@@ -107,6 +108,7 @@ class CaptureEvidence:
     exposed_s: float = float("nan")
     exposed_error_s: float = float("nan")
     contradiction: str = ""
+    reported_s: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

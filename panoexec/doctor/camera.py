@@ -2,40 +2,110 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import AsyncIterator
 from typing import Final
 
-from panoexec.adapters.camera.camera_kind import CameraFound
+from panoexec.adapters.camera.camera_kind import CameraFound, OpenCamera
+from panoexec.adapters.camera.mavsdk_camera import MavsdkCamera
 from panoexec.adapters.camera.open_camera import KINDS, open_camera
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
-from panoexec.devices import Camera, EvidenceLevel
+from panoexec.devices import EvidenceLevel
 from panoexec.doctor.advice import advise
+from panoexec.doctor.camera_photos import examine_interval, measure_photos
 from panoexec.doctor.findings import Findings
 from panoexec.errors import DeviceError, PanoexecError
 from panoexec.inputs.camera_profiles import configured_profile
 from panoexec.inputs.config import Config
+from panoexec.mission.protocols import PacesPhotos
 
 _ENOUGH_PHOTOS: Final = 100
-_EVIDENCE_S: Final = 10.0
 
 
-async def check_camera(link: MavsdkLink, config: Config, findings: Findings, *, patience_s: float, photo: bool) -> None:
-    """Look for the camera that the configuration names; with `photo` take one to see what proves it."""
+async def check_camera(
+    link: MavsdkLink,
+    config: Config,
+    findings: Findings,
+    *,
+    patience_s: float,
+    photo: bool,
+    camera: OpenCamera | None = None,
+) -> None:
+    """Look for the camera that the configuration names, as the daemon does; with `photo` take some to measure it.
+
+    Args:
+        link: to the autopilot.
+        config: the daemon's configuration.
+        findings: results are added to it.
+        patience_s: timeout for the camera, seconds of real time.
+        photo: take photos.
+        camera: the open camera, which stays open; None: open the configured one.
+    """
+    opened = open_camera(config.camera, link) if camera is None else contextlib.nullcontext(camera)
     try:
-        async with open_camera(config.camera, link) as camera:
-            found = await camera.discover(patience_s)
-            findings.ok("camera", "found", found.label)
+        async with opened as one:
+            try:
+                found = await one.discover(patience_s)
+            finally:
+                _list_others(one, findings)
+            findings.ok("camera", "found", f"{found.label} ({found.why})" if found.why else found.label)
             if found.is_two_way:
                 _examine_size(found, config, findings)
-                _examine_room(camera.storage_free_images, findings)
-            _examine_evidence(await camera.best_evidence(), config, findings, may_tell_files=found.may_tell_files)
-            if photo:
-                await _take_photo(camera, config, findings)
+                _examine_room(one.storage_free_images, findings)
+            async with _photo_mode(one, findings) as is_ready:
+                _examine_evidence(await one.best_evidence(), config, findings, may_tell_files=found.may_tell_files)
+                if photo and is_ready:
+                    await measure_photos(one, link.clock, config, findings)
+                elif isinstance(one, PacesPhotos):
+                    examine_interval(one.interval_s, config, findings)
     except DeviceError as error:
         kind = KINDS[config.camera.trigger]
-        parameters = [advise("camera", findings.autopilot)] if kind.set_by_autopilot else []
-        advice = "; ".join([*parameters, kind.settings])
+        if "component = 1" in str(error):  # PX4's own trigger: its parameters may have been set already
+            advice = "set [camera] component = 1 if TRIG_MODE is 1, or connect a MAVLink camera"
+        elif "set TRIG_MODE" in str(error):
+            advice = "TRIG_MODE = 1"
+        else:
+            parameters = [advise("camera", findings.autopilot)] if kind.set_by_autopilot else []
+            advice = "; ".join([*parameters, kind.settings])
         findings.missing("camera", "found", str(error), needed=kind.needed, advice=advice)
+
+
+def _list_others(camera: OpenCamera, findings: Findings) -> None:
+    """Every other camera, with what it can do."""
+    if not isinstance(camera, MavsdkCamera):
+        return
+    used = None if camera.found is None else camera.found.component
+    for one in camera.candidates:
+        if one.component == used:
+            continue
+        advice = f"[camera] component = {one.component} to use it" if one.takes_photos else ""
+        findings.note("camera", f"component {one.component}", f"{one.summary}; not used", advice=advice)
+
+
+@contextlib.asynccontextmanager
+async def _photo_mode(camera: OpenCamera, findings: Findings) -> AsyncIterator[bool]:
+    """Try photo mode where the camera is in another, for the block; whether photos can be taken."""
+    mode = camera.mode if isinstance(camera, MavsdkCamera) else None
+    if mode is None or mode.mode is None:
+        yield True
+        return
+    before = mode.text
+    if mode.takes_photos:
+        findings.ok("camera", "mode", before)
+        yield True
+        return
+    assert isinstance(camera, MavsdkCamera)
+    problem = await camera.prepare()
+    if problem:
+        findings.missing("camera", "mode", problem, needed="photo mode", advice="set the camera itself to photos")
+    else:
+        text = f"{before}; photo mode works, and is set for each mission and restored after it"
+        findings.note("camera", "mode", text)
+    try:
+        yield not problem
+    finally:
+        await camera.restore()
 
 
 def _examine_size(found: CameraFound, config: Config, findings: Findings) -> None:
@@ -93,24 +163,3 @@ def _examine_evidence(best: EvidenceLevel, config: Config, findings: Findings, *
         )
     else:
         findings.judge("camera", "evidence", wanted <= best, text, needed=needed, advice=advice)
-
-
-async def _take_photo(camera: Camera, config: Config, findings: Findings) -> None:
-    """Take a photo and report its evidence level."""
-    wanted = EvidenceLevel[config.camera.evidence.upper()]
-    try:
-        pending = await camera.trigger()
-        proof = await pending.evidence(max(wanted, EvidenceLevel.CAPTURE_MESSAGE), _EVIDENCE_S)
-    except DeviceError as error:
-        findings.missing("camera", "photo", str(error), advice=advise("camera", findings.autopilot))
-        return
-    took_ms = 1000 * (proof.received_s - pending.commanded_s)
-    where = f", {proof.file_url}" if proof.file_url else ""
-    findings.judge(
-        "camera",
-        "photo",
-        proof.level >= wanted,
-        f"taken, {proof.level.name.lower()} after {took_ms:.0f} ms{where}",
-        needed=wanted.name.lower(),
-        advice=advise("evidence", findings.autopilot),
-    )

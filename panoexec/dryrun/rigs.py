@@ -228,6 +228,8 @@ def payload_parameters(simulation: SimConfig) -> dict[str, float]:
         parameters |= {"MNT1_YAW_MIN": gimbal.yaw.min_deg, "MNT1_YAW_MAX": gimbal.yaw.max_deg}
     if simulation.camera_kind == "servo":
         parameters |= {"CAM1_TYPE": 1.0, f"SERVO{SHUTTER_OUTPUT}_FUNCTION": 10.0}
+        if simulation.camera.trigger_min_s:
+            parameters["CAM1_INTRVAL_MIN"] = simulation.camera.trigger_min_s
     return parameters
 
 

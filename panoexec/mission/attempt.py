@@ -14,7 +14,7 @@ from panoexec.clock import Clock
 from panoexec.devices import Camera, CaptureEvidence, EvidenceLevel, Gimbal, PendingCapture
 from panoexec.errors import DeviceError
 from panoexec.mission.attempt_result import Exposure, NotSettled, Settled
-from panoexec.mission.dated_exposure import ShutterLag, is_dated, window
+from panoexec.mission.dated_exposure import ShutterLag, has_window, window
 from panoexec.mission.pointing.echo import EchoWatch
 from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.pointing.poses import PoseReader, read_pose, to_north
@@ -28,7 +28,7 @@ from panoexec.mission.pointing.tolerance_gate import (
     judge_window,
 )
 from panoexec.mission.preflight import gimbal_limits
-from panoexec.mission.protocols import PhotoRecall
+from panoexec.mission.protocols import MayFireLate, PacesPhotos, PhotoRecall
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.waiting import until, within
 from panoexec.planning.model import Shot
@@ -40,6 +40,10 @@ TRIGGER_TIMEOUT_S = 10.0
 """Longest wait for a trigger call; an adapter answers or times out long before."""
 REFUSED_TRIGGER_DELAY_S = 0.5
 """Delay after a refused trigger, unless the camera's interval is shorter."""
+INTERVAL_SLACK_S = 0.1
+"""An interval of the camera that is longer than configured by less is not worth a warning."""
+DEFERRED_SLACK_S = 0.1
+"""How long after a deferred trigger was carried out its report may arrive."""
 LATE_SAMPLES_S = 0.5
 """How long to wait for delayed attitude samples of an exposure."""
 FRESH_REPORT_S = 0.15
@@ -81,6 +85,8 @@ class Shooter:
     steady_error: SteadyErrorWatch = field(init=False)
     _ready_s: float = field(default=-math.inf, init=False)
     _pointed: tuple[float, float] | None = field(default=None, init=False)
+    _warned_interval_s: float = field(default=0.0, init=False)
+    _last_interval_s: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
         """Begin to read the attitude stream."""
@@ -199,6 +205,7 @@ class Shooter:
         """
         captures: list[PendingCapture] = []
         stamps: list[float] = []
+        fired_s: list[float] = []
         failure, broken_off = "", False
         end_s = 0.0
         images_before = self.camera.image_count if isinstance(self.camera, PhotoRecall) else -1
@@ -220,32 +227,40 @@ class Shooter:
             now_s = self.clock.monotonic()
             self._ready_s = (now_s if math.isnan(answered_s) else answered_s) + self.settings.interval_s
             captures.append(capture)
+            fired_s.append(await _fired(capture))
             stamps.append(self.clock.time() - (self.clock.monotonic() - capture.commanded_s))
-            end_s = await self._exposure_end(capture)
+            end_s = await self._exposure_end(capture, fired_s[-1])
         if not captures:
             return NotSettled(code="trigger", reason=failure)
         if not self.open_loop:
             await self.clock.sleep(self.report_age_s)
+        # until a deferred trigger was carried out, nothing was exposed
+        start_s = max(captures[0].commanded_s, fired_s[0] - DEFERRED_SLACK_S)
         return Exposure(
             captures=tuple(captures),
-            verdict=await self._judged(shot, captures[0].commanded_s, end_s),
+            verdict=await self._judged(shot, start_s, end_s),
             trigger_utc_s=tuple(stamps),
             trigger_delay_s=captures[0].commanded_s - settled.settled_s,
+            start_s=start_s,
             end_s=end_s,
             failure=failure,
             images_before=images_before,
             broken_off=broken_off,
         )
 
-    async def _exposure_end(self, capture: PendingCapture) -> float:
+    async def _exposure_end(self, capture: PendingCapture, fired_s: float) -> float:
         """Wait for the end of the exposure and return its time: reported by the camera, else the upper bound.
 
         A camera reports a photo after its shutter closed; a feedback pin signals that it opened.
+
+        Args:
+            capture: the photo.
+            fired_s: when its trigger was carried out.
         """
         bound_s = self.lag.bound_s + self.settings.exposure_s
-        latest_s = capture.commanded_s + bound_s
+        latest_s = fired_s + bound_s
         try:
-            found = await capture.evidence(EvidenceLevel.FEEDBACK_PIN, bound_s)
+            found = await capture.evidence(EvidenceLevel.FEEDBACK_PIN, latest_s - capture.commanded_s)
         except DeviceError:
             found = None
         if found is not None and found.level >= EvidenceLevel.CAPTURE_MESSAGE:
@@ -258,7 +273,7 @@ class Shooter:
     async def judge_date(
         self, shot: Shot, found: CaptureEvidence, commanded_s: float, exposure: Exposure
     ) -> WindowVerdict | None:
-        """The verdict at the date of a photo; None if it has none, or lies inside the window that was judged.
+        """The verdict on the time in which a photo was exposed; None if that is unknown, or was judged already.
 
         Args:
             shot: where the camera was to look.
@@ -266,10 +281,10 @@ class Shooter:
             commanded_s: when its trigger went out.
             exposure: of the attempt.
         """
-        if self.open_loop or not is_dated(found):
+        if self.open_loop or not has_window(found):
             return None
         start_s, end_s = window(found, commanded_s, self.settings)
-        if exposure.captures[0].commanded_s <= start_s and end_s <= exposure.end_s:
+        if exposure.start_s <= start_s and end_s <= exposure.end_s:
             return None
         return await self._judged(shot, start_s, end_s)
 
@@ -343,7 +358,27 @@ class Shooter:
         return float(pitch), float(yaw)
 
     def _interval_left_s(self) -> float:
-        return max(0.0, self._ready_s - self.clock.monotonic())
+        return max(0.0, self._next_trigger_s - self.clock.monotonic())
+
+    def interval_warning(self) -> str:
+        """A warning for the operator if the camera needs more time between two photos than configured.
+
+        Once for a value, which must have stood the test of another photo.
+        """
+        known_s = self.camera.interval_s if isinstance(self.camera, PacesPhotos) else 0.0
+        changed, self._last_interval_s = known_s != self._last_interval_s, known_s
+        if changed or known_s <= max(self.settings.interval_s, self._warned_interval_s) + INTERVAL_SLACK_S:
+            return ""
+        self._warned_interval_s = known_s
+        return (
+            f"the camera needs {known_s:.1f} s between two photos, its interval is {self.settings.interval_s:g} s: "
+            f"set [camera] interval_s to {math.ceil(10 * known_s) / 10:g}"
+        )
+
+    @property
+    def _next_trigger_s(self) -> float:
+        """When the next trigger may be sent: after the configured interval, or what is known of the camera's."""
+        return max(self._ready_s, self.camera.ready_s) if isinstance(self.camera, PacesPhotos) else self._ready_s
 
     async def _await_settled(self, wait: _SettleWait, clear: Callable[[], asyncio.Event | None]) -> float:
         """Feed the tracker until the trigger may be sent; returns when its last condition was met.
@@ -377,7 +412,7 @@ class Shooter:
                 free_s = self.clock.monotonic()
             else:
                 await self._sleep_most_of(left_s)
-                free_s = self._ready_s
+                free_s = self._next_trigger_s
             wait.trigger_held = False
             wait.deadline_s = max(wait.deadline_s, free_s + wait.bound_s)
 
@@ -417,6 +452,11 @@ class Shooter:
             now = self.clock.monotonic()
             if now >= wait.deadline_s and not wait.trigger_held and not wait.tracker.is_settled(now):
                 return
+
+
+async def _fired(capture: PendingCapture) -> float:
+    """See `MayFireLate.fired`."""
+    return await capture.fired() if isinstance(capture, MayFireLate) else capture.commanded_s
 
 
 @dataclass(kw_only=True)

@@ -35,10 +35,10 @@ class Exposure:
 
     Attributes:
         captures: one per photo; evidence is awaited on it.
-        verdict: on the attitudes from the first trigger to the end of the last exposure.
+        verdict: on the attitudes from the first trigger, or when it was carried out, to the end of the last exposure.
         trigger_utc_s: wall time of each trigger.
         trigger_delay_s: from settled to the first trigger on the wire.
-        end_s: until when the attitudes were judged.
+        start_s, end_s: from when and until when the attitudes were judged.
         failure: why not all photos were taken, "" if they were.
         images_before: how many images the camera counted before; -1 where that was not known.
         broken_off: a pause or an end was requested between two photos of a bracket.
@@ -48,6 +48,7 @@ class Exposure:
     verdict: WindowVerdict
     trigger_utc_s: tuple[float, ...]
     trigger_delay_s: float
+    start_s: float
     end_s: float
     failure: str = ""
     images_before: int = -1

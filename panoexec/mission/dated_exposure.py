@@ -16,9 +16,11 @@ from panoexec.devices import CaptureEvidence, EvidenceLevel
 from panoexec.mission.settings import MissionSettings
 
 MAX_DATE_ERROR_S: Final = 0.25
-"""Dates less certain than this are ignored."""
+"""Nothing is learned from dates less certain than this."""
 _MAX_LAG_S: Final = 10.0
-_REMEMBERED: Final = 3
+_REMEMBERED: Final = 16
+_IRREGULAR_S: Final = 0.2
+"""Lags that differ by more than this, and by more than their dates may be wrong, are irregular."""
 _WARN_ABOVE_S: Final = 0.1
 
 
@@ -36,8 +38,16 @@ class ShutterLag:
 
     @property
     def bound_s(self) -> float:
-        """The longest lag to expect: what is configured, or the longest of the last few photos."""
-        return max(self._configured_s, *self._measured_s) if self._measured_s else self._configured_s
+        """The longest lag to expect: what is configured, or the longest of the last photos.
+
+        A shutter that is later one time than another can be later still: half of what the lags differ by is added.
+        The wait ends when the camera reports the photo, so a long bound costs nothing with a camera that does.
+        """
+        if not self._measured_s:
+            return self._configured_s
+        spread_s = max(self._measured_s) - min(self._measured_s)
+        reserve_s = spread_s / 2 if spread_s > _IRREGULAR_S else 0.0
+        return max(self._configured_s, max(self._measured_s) + reserve_s)
 
     def note(self, found: CaptureEvidence, commanded_s: float) -> str:
         """Add the date of a photo; returns a warning for the operator, "" if there is none."""
@@ -58,24 +68,42 @@ class ShutterLag:
 
 
 def is_dated(found: CaptureEvidence) -> bool:
-    """Whether a photo is dated well enough to be judged by its date."""
+    """Whether a photo is dated well enough to learn from its date."""
     return math.isfinite(found.exposed_s) and found.exposed_error_s <= MAX_DATE_ERROR_S
 
 
-def window(found: CaptureEvidence, commanded_s: float, settings: MissionSettings) -> tuple[float, float]:
-    """The interval in which a dated photo was exposed, bounds included, on the mission's clock.
+def has_window(found: CaptureEvidence) -> bool:
+    """Whether something was reported that tells when a photo was exposed, however roughly."""
+    return math.isfinite(found.exposed_s) or (
+        found.level >= EvidenceLevel.CAPTURE_MESSAGE and math.isfinite(found.reported_s)
+    )
 
-    Not before its trigger; and not after its report, where the camera reports a photo that it has. Where only the
-    trigger is dated (CAMERA_FEEDBACK without a pin, by its arrival), the exposure follows within the bound.
+
+def window(found: CaptureEvidence, commanded_s: float, settings: MissionSettings) -> tuple[float, float]:
+    """The interval in which a reported photo was exposed, bounds included, on the mission's clock.
+
+    Not before its trigger; and not after its report, where the camera reports a photo that it has: that is all that a
+    report without a date says. Where only the trigger is dated (CAMERA_FEEDBACK without a pin, by its arrival), the
+    exposure follows within the bound.
     """
+    if math.isnan(found.exposed_s):
+        return commanded_s, found.reported_s
     start_s = max(commanded_s, found.exposed_s - found.exposed_error_s)
     if found.level < EvidenceLevel.FEEDBACK_PIN:
         prompt = found.exposed_s - commanded_s <= found.exposed_error_s
         return start_s, (commanded_s if prompt else found.exposed_s) + settings.exposure_bound_s
     end_s = found.exposed_s + found.exposed_error_s + settings.exposure_s
     if found.level >= EvidenceLevel.CAPTURE_MESSAGE:
-        end_s = min(end_s, found.received_s)
+        end_s = min(end_s, found.received_s if math.isnan(found.reported_s) else found.reported_s)
     return start_s, max(start_s, end_s)
+
+
+def when(found: CaptureEvidence, commanded_s: float) -> str:
+    """Text: how a photo's date lies outside the judged window."""
+    if math.isnan(found.exposed_s):
+        late_s = found.reported_s - commanded_s
+        return f"the photo is not dated, and was reported {late_s:.2f} s after its trigger, outside the judged window"
+    return f"exposed {found.exposed_s - commanded_s:.2f} s after its trigger, outside the judged window"
 
 
 def contradictions(found: Sequence[CaptureEvidence]) -> str:

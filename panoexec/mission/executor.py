@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Literal
 
 from panoexec.clock import Clock
 from panoexec.devices import Camera, Gimbal, Vehicle
-from panoexec.errors import MissionError
+from panoexec.errors import DeviceError, MissionError
 from panoexec.mission.attempt import Shooter
 from panoexec.mission.context import MissionContext
 from panoexec.mission.ending import Ending
@@ -24,17 +25,21 @@ from panoexec.mission.mission_requests import MissionRequests, Stop
 from panoexec.mission.operator_commands import OperatorCommands
 from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.preflight import battery_warning, preflight_problems
-from panoexec.mission.protocols import Journal, Verifier
+from panoexec.mission.protocols import Journal, PreparesForPhotos, Verifier
 from panoexec.mission.recovery import settle_open_attempts
 from panoexec.mission.reference_frame import update_reference_frame, warn_if_moved
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.shooting import Shooting
 from panoexec.mission.shot_queue import ShotQueue
-from panoexec.mission.waiting import first_failure, uncancelled, until
+from panoexec.mission.waiting import first_failure, uncancelled, until, within
 from panoexec.planning.model import Certificate, Plan
 
 PREFLIGHT_S = 5.0
 """How long preflight retries failed checks (a stream that was just requested needs time to start)."""
+PREPARE_S = 12.0
+"""Timeout for preparing the camera."""
+RESTORE_S = 6.0
+"""Timeout for restoring it."""
 DONE = frozenset({ShotStatus.ACCEPTED, ShotStatus.SKIPPED})
 
 
@@ -196,7 +201,10 @@ class Mission:
             try:
                 await uncancelled(asyncio.create_task(self._guard_monitor.release(), name="release the gimbal"))
             finally:
-                self._ending.conclude()
+                try:
+                    await uncancelled(asyncio.create_task(self._restore_camera(), name="restore the camera"))
+                finally:
+                    self._ending.conclude()
 
     def _start(self) -> None:
         context, record = self._context, self._context.record
@@ -266,6 +274,8 @@ class Mission:
         while problems and context.clock.monotonic() < deadline:
             await context.clock.sleep(0.25)
             problems = self._problems()
+        if not problems:
+            problems = await self._prepare_camera()
         if not problems and not await self._guard_monitor.acquire():
             problems = [hold.finding.reason for hold in context.requests.holds.values()]
         if problems:
@@ -277,6 +287,24 @@ class Mission:
             context.recorder.emit(ev.Warned(code="battery_estimate", text=warning))
         context.recorder.emit(ev.PreflightPassed(), MissionState.CAPTURING)
         context.eta.restart(context.clock.monotonic())
+
+    async def _prepare_camera(self) -> list[str]:
+        """Make the camera ready for photos (photo mode); returns what prevents that."""
+        camera = self._context.camera
+        if not isinstance(camera, PreparesForPhotos):
+            return []
+        try:
+            problem = await within(self._context.clock, PREPARE_S, camera.prepare(), "prepare the camera")
+        except (DeviceError, TimeoutError) as error:
+            problem = f"the camera cannot be prepared: {error}"
+        return [problem] if problem else []
+
+    async def _restore_camera(self) -> None:
+        """Leave the camera as it was found; an interrupted mission will prepare it again."""
+        camera = self._context.camera
+        if isinstance(camera, PreparesForPhotos):
+            with suppress(TimeoutError):
+                await within(self._context.clock, RESTORE_S, camera.restore(), "restore the camera")
 
     def _problems(self) -> list[str]:
         context = self._context

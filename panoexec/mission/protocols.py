@@ -51,6 +51,51 @@ class ReportsPhotos(Protocol):
 
 
 @runtime_checkable
+class MayFireLate(Protocol):
+    """A trigger that may be carried out later than it was acknowledged: an autopilot or a camera may defer it."""
+
+    async def fired(self) -> float:
+        """Return once it was carried out, or cannot be any more; nothing may move before.
+
+        Returns:
+            The earliest time of the exposure, on the mission's clock: that of the trigger if nothing more is known.
+        """
+        ...
+
+
+@runtime_checkable
+class PacesPhotos(Protocol):
+    """A camera whose least interval may be longer than configured: told by a parameter, or learned from refusals."""
+
+    @property
+    def interval_s(self) -> float:
+        """The least time between two triggers that is known; 0 if none is."""
+        ...
+
+    @property
+    def ready_s(self) -> float:
+        """When the next trigger is likely to be accepted, on the mission's clock; -inf if nothing speaks against it."""
+        ...
+
+
+@runtime_checkable
+class PreparesForPhotos(Protocol):
+    """A camera that has to be made ready, and is left as it was found."""
+
+    async def prepare(self) -> str:
+        """Make it ready for photos; returns what prevents that, "" if nothing does.
+
+        Raises:
+            DeviceError: it did not answer.
+        """
+        ...
+
+    async def restore(self) -> None:
+        """Undo `prepare`; does not raise, and takes at most 5 s."""
+        ...
+
+
+@runtime_checkable
 class PhotoRecall(Protocol):
     """A camera that remembers what it took: settles a photo that was in flight when the process died."""
 

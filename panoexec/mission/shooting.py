@@ -232,9 +232,7 @@ class Shooting:
         for one, capture in zip(found, exposure.captures, strict=True):
             verdict = await self.shooter.judge_date(shot, one, capture.commanded_s, exposure)
             if verdict is not None and not verdict.ok:
-                late_s = one.exposed_s - capture.commanded_s
-                reason = f"exposed {late_s:.2f} s after its trigger, outside the judged window: {verdict.reason}"
-                return "late_exposure", reason
+                return "late_exposure", f"{dated_exposure.when(one, capture.commanded_s)}: {verdict.reason}"
         why = dated_exposure.contradictions(found)
         return ("evidence", why) if why else ("", "")
 
@@ -244,6 +242,8 @@ class Shooting:
         for one, capture in zip(found, captures, strict=True):
             if text := self.shooter.lag.note(one, capture.commanded_s):
                 self._context.recorder.emit(ev.Warned(code="latency", text=text))
+        if text := self.shooter.interval_warning():
+            self._context.recorder.emit(ev.Warned(code="interval", text=text))
         return found
 
     async def _identify(

@@ -12,7 +12,8 @@ from panoexec.sim.faults import FaultSpec
 AutopilotKind: TypeAlias = Literal["ardupilot", "px4"]
 MountKind: TypeAlias = Literal["mavlink", "servo", "driver", "echo"]
 GimbalBeside: TypeAlias = Literal["none", "manager", "only-manager", "second", "stranger"]
-CameraKind: TypeAlias = Literal["mavlink", "servo"]
+CameraKind: TypeAlias = Literal["mavlink", "servo", "px4-trigger"]
+CameraBeside: TypeAlias = Literal["none", "streamer", "camera"]
 
 DEFAULT_PORTS = (14540, 14550)
 """The usual UDP ports of MAVSDK and of ground stations."""
@@ -119,6 +120,17 @@ class CameraConfig:
         clock_rate: camera seconds per second: below 1 its clock runs slow.
         clock_step_s: by how much its clock is stepped, once; negative is back.
         clock_step_at_s: when that happens, in the camera's seconds since boot.
+        latency_jitter_s: what the shutter is later than `latency_s` by, at random from 0 to this.
+        queue: photo commands that it accepts while it is busy and carries out when it can; 0: it rejects them.
+        starts_in_video: it is in video mode when it is switched on, and denies photos until its mode is changed.
+        refuses_modes: it denies every change of its mode.
+        silent_every: every n-th photo is neither reported nor told on request; 0: none.
+        reset_after: it restarts after so many photos: index and clock begin anew; 0: never.
+        undated: its reports have no time since boot.
+        trigger_min_s: least time between two triggers of the autopilot's shutter (CAM1_INTRVAL_MIN); an earlier one is
+            carried out later.
+        trigger_fails: an autopilot answers such a trigger with FAILED, and carries it out later all the same.
+        trigger_min_told: the autopilot tells that parameter.
     """
 
     optics: Camera = DEFAULT_CAMERA
@@ -133,6 +145,16 @@ class CameraConfig:
     clock_rate: float = 1.0
     clock_step_s: float = 0.0
     clock_step_at_s: float = 30.0
+    latency_jitter_s: float = 0.0
+    queue: int = 0
+    starts_in_video: bool = False
+    refuses_modes: bool = False
+    silent_every: int = 0
+    reset_after: int = 0
+    undated: bool = False
+    trigger_min_s: float = 0.0
+    trigger_fails: bool = False
+    trigger_min_told: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -202,7 +224,10 @@ class SimConfig:
         gimbal_beside: what there is beside the gimbal: a `manager` of its own that refuses, or the `only-manager` that
             obeys; a `second` gimbal; a `stranger` that tells attitudes when the gimbal is silent.
         camera_kind: `mavlink`: component 100 with its own messages; `servo`: a trigger on the autopilot (component 1)
-            whose only evidence is CAMERA_FEEDBACK.
+            whose only evidence is CAMERA_FEEDBACK; `px4-trigger`: PX4's own trigger on an output, by
+            MAV_CMD_DO_DIGICAM_CONTROL.
+        camera_beside: what there is beside the camera, as component 100, which makes the camera 101: a `streamer` of
+            video that takes no photos, or another `camera`; only with `camera_kind` `mavlink`.
         scene: equirectangular image to photograph; None for the procedural one.
         seed: random seed.
         speedup: simulated seconds per second.
@@ -222,6 +247,7 @@ class SimConfig:
     mount_told: bool = True
     gimbal_beside: GimbalBeside = "none"
     camera_kind: CameraKind = "mavlink"
+    camera_beside: CameraBeside = "none"
     scene: Path | None = None
     seed: int = 1
     speedup: float = 1.0

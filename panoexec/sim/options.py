@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from panoexec.errors import UsageError
 from panoexec.optics import Camera
 from panoexec.sim import settings
+from panoexec.sim.camera_kinds import CAMERA_KINDS, camera_kinds_text, with_camera_kind
 from panoexec.sim.config import CameraConfig, SimConfig
 from panoexec.sim.faults import FAULTS, parse_fault
 from panoexec.sim.gimbal_kinds import GIMBAL_KINDS, gimbal_kinds_text, with_gimbal_kind
@@ -17,12 +19,16 @@ from panoexec.sim.gimbal_kinds import GIMBAL_KINDS, gimbal_kinds_text, with_gimb
 _MAX_SPEEDUP = 100.0
 
 
-class _GimbalKind(argparse.Action):
+class _Kind(argparse.Action):
     """Stores a kind's name, or explains all kinds."""
+
+    def __init__(self, *args: Any, explain: Callable[[], str], **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._explain = explain
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, *_: Any) -> None:
         if values == "help":
-            parser.exit(message=f"{gimbal_kinds_text()}\n")
+            parser.exit(message=f"{self._explain()}\n")
         setattr(namespace, self.dest, values)
 
 
@@ -72,10 +78,19 @@ def add_vehicle_arguments(parser: argparse.ArgumentParser) -> None:
     )
     vehicle.add_argument(
         "--gimbal-kind",
-        action=_GimbalKind,
+        action=_Kind,
+        explain=gimbal_kinds_text,
         metavar="NAME",
         default="",
         help="gimbal as it is sold or wired: " + ", ".join(GIMBAL_KINDS) + "; `help` explains them",
+    )
+    vehicle.add_argument(
+        "--camera-kind",
+        action=_Kind,
+        explain=camera_kinds_text,
+        metavar="NAME",
+        default="",
+        help="camera as it is sold or wired: " + ", ".join(CAMERA_KINDS) + "; `help` explains them",
     )
     vehicle.add_argument("--wind", type=float, metavar="M_S", help="steady wind in m/s (2)")
     world = parser.add_argument_group("simulated world")
@@ -131,6 +146,8 @@ def config_of(args: argparse.Namespace, camera: CameraConfig | None = None) -> S
     )
     if args.gimbal_kind:
         config = with_gimbal_kind(config, args.gimbal_kind)
+    if args.camera_kind:
+        config = with_camera_kind(config, args.camera_kind)
     width = _within(args.image_width, 16, config.camera.optics.image_width_px, "--image-width")
     assignments = [f"camera.render_width_px={width}"]
     if args.wind is not None:

@@ -12,6 +12,7 @@ from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import Faults
 from panoexec.sim.mavlink.camera_component import Fix
 from panoexec.sim.mavlink.payload import Payload
+from panoexec.sim.mavlink.px4_trigger import Px4Trigger
 from panoexec.sim.mavlink.trigger import CameraTrigger
 from panoexec.sim.mavlink.vehicle import THIEF, Vehicle
 from panoexec.sim.mavlink.wire import Link, LocalLink, Receiver
@@ -85,8 +86,9 @@ class Simulation:
 
     def _make_vehicle(self, ground: Link, bus: Link) -> Vehicle:
         trigger = None
-        if self.config.camera_kind == "servo":
-            trigger = CameraTrigger(
+        if self.config.camera_kind != "mavlink":
+            kind = Px4Trigger if self.config.camera_kind == "px4-trigger" else CameraTrigger
+            trigger = kind(
                 self.config,
                 clock=self.clock,
                 timeline=self.timeline,
@@ -114,7 +116,7 @@ class Simulation:
             if self.config.mount == "mavlink":
                 self.payload.start_gimbals()
             if self.config.camera_kind == "mavlink":
-                self.payload.camera.start()
+                self.payload.start_camera()
         else:
             self.payload.start()
 
@@ -179,7 +181,8 @@ class Simulation:
         """Queue a photo for rendering and log its true attitude; returns the file's URL."""
         output = self.config.output
         self._photos += 1
-        name = f"IMG_{self._first_number + exposure.index - self.config.camera.index_start:05d}.jpg"
+        # not by the index, which a camera that restarts uses twice
+        name = f"IMG_{self._first_number + self._photos - 1:05d}.jpg"
         nose = self.physics.nose_deg
         self._truth.write(
             "exposure",

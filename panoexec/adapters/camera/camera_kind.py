@@ -21,6 +21,11 @@ class CameraFound(Protocol):
         ...
 
     @property
+    def why(self) -> str:
+        """Why this camera was chosen; "" if there is no choice."""
+        ...
+
+    @property
     def is_two_way(self) -> bool:
         """Whether the camera answers, so that its image size and its free storage can be asked for."""
         ...

@@ -16,6 +16,8 @@ from panoexec.devices import CaptureEvidence, EvidenceLevel
 from panoexec.errors import DeviceError
 
 _FIRST_POLL_S: Final = 1.0
+_UNREPORTED_S: Final = 2.5
+"""A photo without a report for so long, from a camera that reports its photos, contradicts it."""
 
 _log = structlog.get_logger(__name__)
 
@@ -63,6 +65,8 @@ class Capture:
         poll: Callable[[Capture], Awaitable[None]] | None = None,
         synchronise: Callable[[], Awaitable[None]] | None = None,
         final: bool = False,
+        defer_s: float = 0.0,
+        must_report: bool = False,
     ) -> None:
         """Create it for a trigger that is about to be sent.
 
@@ -72,6 +76,8 @@ class Capture:
             poll: asks the camera for news, if it can be asked.
             synchronise: asks the camera for a stamp of its clock, if the last one is old.
             final: nothing can ever become known of the photo.
+            defer_s: how long after it was sent the trigger may be carried out unseen, if no report tells that it was.
+            must_report: the camera reports its photos, so a photo without a report is a contradiction.
         """
         self.number = number
         self.sources: dict[Source, Report] = {}
@@ -82,6 +88,9 @@ class Capture:
         self._poll = poll
         self._synchronise = synchronise
         self._final = final
+        self._must_report = must_report
+        self._undatable = False
+        self.defer_s = defer_s
         self._commanded_s = self._acknowledged_s = math.nan
         self._evidence = CaptureEvidence(level=EvidenceLevel.COMMANDED, received_s=math.nan)
         self._changed = asyncio.Event()
@@ -125,10 +134,29 @@ class Capture:
         self._evidence = replace(self._evidence, contradiction=why)
         self._changed.set()
 
+    def cannot_be_dated(self, index: int) -> None:
+        """The report of this photo has a stamp that cannot be true, from a camera whose other stamps are."""
+        self._undatable = True
+        self.contradict(f"the camera's stamp of photo {index} cannot be true: it may be another one")
+
+    @property
+    def is_reported(self) -> bool:
+        """Whether a sender reported the photo or its trigger, and not only its count increased."""
+        return any(source is not Source.COUNT for source in self.sources)
+
+    async def fired(self) -> float:
+        """See `MayFireLate.fired`."""
+        if self.defer_s > 0 and not (self.is_reported or self.failed):
+            deadline_s = self._commanded_s + self.defer_s
+            await self._wait(lambda: self.is_reported or self.failed, deadline_s - self._clock.monotonic())
+        exposed_s = self._evidence.exposed_s
+        return max(self._commanded_s, exposed_s)
+
     def add(self, report: Report) -> None:
         """Add a report of this photo."""
         duplicate = bool(self.sources)
-        if report.source is not Source.COUNT:
+        if report.source is not Source.COUNT and (not self._undatable or math.isfinite(report.exposed_s)):
+            self._undatable = False
             self._evidence = replace(self._evidence, contradiction="")
         self.sources.setdefault(report.source, report)
         if not report.success:
@@ -144,19 +172,29 @@ class Capture:
         if self._is_decided(at_least):
             return self._evidence
         left_s = self._commanded_s + timeout_s - self._clock.monotonic()
+        await self._wait(lambda: self._is_decided(at_least), left_s)
+        missing = self._must_report and not (self.is_reported or self.failed or self.contradicted)
+        if missing and self._clock.monotonic() - self._commanded_s >= _UNREPORTED_S:
+            self.contradict("the camera did not report this photo, but reports its photos")
+        return self._evidence
+
+    async def _wait(self, done: Callable[[], bool], timeout_s: float) -> None:
+        """Return when something is done, at the latest after a time; the camera is asked for news meanwhile."""
         async with asyncio.TaskGroup() as group:
-            over = group.create_task(self._clock.sleep(max(0.0, left_s)), name="evidence timeout")
+            over = group.create_task(self._clock.sleep(max(0.0, timeout_s)), name="evidence timeout")
             over.add_done_callback(lambda _: self._changed.set())
             asking = group.create_task(self._ask(), name="evidence poll")
-            while not (over.done() or self._is_decided(at_least)):
+            while not (over.done() or done()):
                 self._changed.clear()
                 await self._changed.wait()
             over.cancel()
             asking.cancel()
-        return self._evidence
 
     def _is_decided(self, at_least: EvidenceLevel) -> bool:
-        return self._final or self.failed or self._evidence.level >= at_least
+        if self._final or self.failed:
+            return True
+        counts = self.is_reported or not self._must_report or at_least <= EvidenceLevel.ACKNOWLEDGED
+        return counts and self._evidence.level >= at_least
 
     async def _ask(self) -> None:
         """A report may have been lost on the way: ask, with growing patience."""
@@ -195,6 +233,7 @@ class Capture:
             exposed_s=reported(best.exposed_s, other.exposed_s),
             exposed_error_s=other.exposed_error_s if math.isnan(best.exposed_s) else best.exposed_error_s,
             contradiction=old.contradiction,
+            reported_s=reported(old.reported_s, new.reported_s),
         )
         self._changed.set()
 

@@ -55,7 +55,12 @@ class CaptureMatcher:
         self._latencies_s: deque[float] = deque(maxlen=_LATENCIES)
         self.foreign_photos = 0
         """Photos that were reported but not triggered by us."""
+        self.dated_photos = self.undated_photos = 0
+        """Photos of ours that the camera's own reports dated, and those that they did not."""
+        self.refused_taken_after_s = 0.0
+        """The longest time after which a trigger that was refused took its photo all the same; 0: none did."""
         self._captures: deque[Capture] = deque(maxlen=_KEEP)
+        self._refused: deque[Capture] = deque(maxlen=4)
         self._seen: dict[tuple[Source, int], tuple[Report, Capture | None]] = {}
         self._last_match: dict[Source, tuple[int, int]] = {}
         self._count: int | None = None
@@ -74,9 +79,10 @@ class CaptureMatcher:
         self._captures.append(capture)
 
     def withdraw(self, capture: Capture) -> None:
-        """Remove a refused trigger: it takes no photo."""
+        """Remove a refused trigger: it takes no photo, or one that is nobody's."""
         if capture in self._captures:
             self._captures.remove(capture)
+            self._refused.append(capture)
 
     def report(self, report: Report) -> Capture | None:
         """Match a report; returns its trigger, or None for a photo that panoexec did not trigger."""
@@ -137,7 +143,11 @@ class CaptureMatcher:
                 self._latencies_s.append(report.exposed_s - capture.commanded_s)
             self._last_match[report.source] = (capture.number, report.index)
             capture.add(report)
+            if report.source is Source.CAPTURED:
+                self._note_date(report, capture)
             return capture
+        if self._is_of_refused(report):
+            _log.warning("a trigger that was refused took a photo", source=report.source, index=report.index)
         self.foreign_photos += 1
         _log.warning("a photo that was not asked for", source=report.source, index=report.index)
         number, index = self._last_match.get(report.source, (-1, -1))
@@ -145,6 +155,24 @@ class CaptureMatcher:
             self._last_match[report.source] = (number, report.index)
         self._contradict(report)
         return None
+
+    def _note_date(self, report: Report, capture: Capture) -> None:
+        """Learn whether the camera dates its photos; one without a date from a camera that does contradicts it."""
+        if math.isfinite(report.exposed_s):
+            self.dated_photos += 1
+        elif report.success:
+            self.undated_photos += 1
+            if self.dated_photos:
+                capture.cannot_be_dated(report.index)
+
+    def _is_of_refused(self, report: Report) -> bool:
+        """Whether a photo that fits no trigger was taken soon after a refused one."""
+        taken_s = report.evidence.received_s if math.isnan(report.exposed_s) else report.exposed_s
+        delays_s = [taken_s - capture.commanded_s for capture in self._refused]
+        fitting = [delay_s for delay_s in delays_s if 0 <= delay_s <= _LATEST_EXPOSURE_S]
+        if fitting:
+            self.refused_taken_after_s = max(self.refused_taken_after_s, *fitting)
+        return bool(fitting)
 
     def counted(self, images: int, received_s: float) -> None:
         """Take the camera's image count: each increment is evidence of one trigger since the first count.

@@ -32,6 +32,7 @@ def captured_report(message: MavMessage, clock: CameraClock) -> Report:
         evidence=CaptureEvidence(
             level=EvidenceLevel.FILE_SEEN if file_is_there(url) else EvidenceLevel.CAPTURE_MESSAGE,
             received_s=message.received_s,
+            reported_s=message.received_s,
             exposed_vehicle_s=boot_s,
             image_index=int(fields["image_index"]),
             file_url=url,
@@ -66,6 +67,31 @@ def feedback_report(message: MavMessage, *, pin: bool) -> Report:
             exposed_s=message.received_s,
             exposed_error_s=_FEEDBACK_DELAY_S,
             time_utc_s=_utc_s(stamp_us),
+            latitude_deg=latitude_deg,
+            longitude_deg=longitude_deg,
+            altitude_m=altitude_m,
+        ),
+    )
+
+
+def px4_report(message: MavMessage) -> Report:
+    """From CAMERA_IMAGE_CAPTURED (263) of PX4 itself, for its own trigger: its arrival is the exposure time.
+
+    The result is 1 with a wired hot-shoe (CAM_CAP_FBACK), and -1, unknown, without one.
+    """
+    fields, result = message.fields, int(message.fields["capture_result"])
+    latitude_deg, longitude_deg, altitude_m = _position(fields["lat"], fields["lon"], number(fields["alt"]) / 1e3)
+    return Report(
+        source=Source.FEEDBACK,
+        exposed_s=message.received_s,
+        success=result != 0,
+        evidence=CaptureEvidence(
+            level=EvidenceLevel.FEEDBACK_PIN if result == 1 else EvidenceLevel.COUNTED,
+            received_s=message.received_s,
+            image_index=int(fields["image_index"]),
+            exposed_s=message.received_s,
+            exposed_error_s=_FEEDBACK_DELAY_S,
+            time_utc_s=_utc_s(fields["time_utc"]),
             latitude_deg=latitude_deg,
             longitude_deg=longitude_deg,
             altitude_m=altitude_m,

@@ -14,6 +14,8 @@ class MavlinkCameraFound:
         vendor, model: as reported, or "".
         image_width_px, image_height_px: 0 if not reported.
         feedback_pin: the autopilot reports the hot-shoe signal and not only the trigger.
+        own_trigger: it is PX4's own trigger on an output pin, which is no MAVLink camera.
+        why: why this camera was chosen.
     """
 
     component: int
@@ -22,6 +24,8 @@ class MavlinkCameraFound:
     image_width_px: int = 0
     image_height_px: int = 0
     feedback_pin: bool = False
+    own_trigger: bool = False
+    why: str = ""
 
     @property
     def by_autopilot(self) -> bool:
@@ -32,7 +36,9 @@ class MavlinkCameraFound:
     def label(self) -> str:
         """See `CameraFound.label`."""
         name = f"{self.vendor} {self.model}".strip() or (
-            "a shutter of the autopilot" if self.by_autopilot else "unnamed"
+            ("PX4's camera trigger" if self.own_trigger else "a shutter of the autopilot")
+            if self.by_autopilot
+            else "unnamed"
         )
         return f"{name}, component {self.component}"
 

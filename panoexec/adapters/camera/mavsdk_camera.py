@@ -13,37 +13,42 @@ from types import TracebackType
 from typing import Final, Self
 
 import structlog
-from mavsdk.plugins.camera import Camera, CameraList, Information
+from mavsdk.plugins.camera import Camera
 
+from panoexec.adapters.camera.camera_choice import CAPTURES_VIDEO, HAS_MODES, CameraCandidate
 from panoexec.adapters.camera.camera_clock import CameraClock
+from panoexec.adapters.camera.camera_discovery import CameraDiscovery
 from panoexec.adapters.camera.camera_kind import CameraKind, OpenCamera
+from panoexec.adapters.camera.camera_pace import CameraPace
+from panoexec.adapters.camera.camera_storage import CameraStorage
 from panoexec.adapters.camera.capture import Capture
 from panoexec.adapters.camera.capture_matching import CaptureMatcher
-from panoexec.adapters.camera.capture_messages import captured_report, feedback_report, file_is_there
+from panoexec.adapters.camera.capture_messages import captured_report, feedback_report, file_is_there, px4_report
+from panoexec.adapters.camera.deferral import Deferral, has_feedback_pin, least_interval_s
 from panoexec.adapters.camera.mavlink_camera_found import MavlinkCameraFound
+from panoexec.adapters.camera.photo_mode import PhotoMode
 from panoexec.adapters.camera.photo_recall import CAPTURE_STATUS, IMAGE_CAPTURED, recall_images, recall_trigger
-from panoexec.adapters.gimbal.attitude_messages import number
+from panoexec.adapters.link.mavsdk_errors import MAV_RESULTS
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.mavsdk_requests import REQUEST_MESSAGE
 from panoexec.adapters.link.message_hub import MavMessage
 from panoexec.adapters.link.stream_keeper import AUTOPILOT
 from panoexec.clock import latest_s
 from panoexec.devices import EvidenceLevel, PendingCapture, RecalledPhotos
-from panoexec.errors import DeviceError
+from panoexec.errors import DeviceError, PanoexecError
+from panoexec.inputs.camera_profiles import load_profile
 from panoexec.inputs.config import CameraSection
 
 STORAGE_INFORMATION: Final = 261
 
-_MAV_TYPE_CAMERA: Final = 30
-_STORAGE_EMPTY, _STORAGE_UNFORMATTED, _STORAGE_READY = 0, 1, 2
-_PREFER_S: Final = 2.5
+DO_DIGICAM_CONTROL: Final = 203
+
 _FIRST_REPORT_S: Final = 20.0
 """A camera that has not reported a photo by then does not report photos."""
 _SYNCHRONISE_S: Final = 4.0
 """A stamp of the camera's clock that is older than this (mission seconds) is asked for anew at the next photo."""
 _SILENT_S: Final = 15.0
-_BYTES_PER_PX: Final = 0.6
-"""Upper estimate for a high-quality JPEG: 14 MB for 24 megapixels."""
+_MODE_AGAIN_S: Final = 5.0
 
 _log = structlog.get_logger(__name__)
 
@@ -62,26 +67,31 @@ class MavsdkCamera:
         component: int = 0,
         feedback_pin: bool | None = None,
         mib_per_image: float | None = None,
+        image_px: tuple[int, int] | None = None,
     ) -> None:
         """Create it; entering the context subscribes to messages.
 
         Args:
             link: to the autopilot, entered before and left after this.
-            component: MAVLink component of the camera; 0: a camera that sends heartbeats, else the autopilot's.
+            component: MAVLink component of the camera; 0: see `camera_choice.choose`.
             feedback_pin: whether CAMERA_FEEDBACK comes from a wired hot-shoe; None: read CAM1_FEEDBAK_PIN.
             mib_per_image: size of a photo; None: estimate it from the image's dimensions.
+            image_px: image size of the profile, by which one of several cameras is chosen.
         """
         self._link = link
         self._component = component
         self._feedback_pin = feedback_pin
-        self._mib_per_image = mib_per_image
         self._found: MavlinkCameraFound | None = None
-        self._listed: dict[int, Information] = {}
-        self._list_changed = asyncio.Event()
+        self._discovery = CameraDiscovery(link, component=component, image_px=image_px)
+        self._mode: PhotoMode | None = None
+        self._mode_checked_s = -math.inf
+        self._prepared = False
+        self._pace = CameraPace()
         self._stamps = CameraClock()
         self._matcher = CaptureMatcher(self._stamps)
+        self._deferral = Deferral(self._matcher)
         self._synchronised_s = -math.inf
-        self._storages: dict[int, float] = {}
+        self._storage = CameraStorage(mib_per_image=mib_per_image)
         self._numbers = 0
         self._last_index = -1
         self._first_trigger_s = math.nan
@@ -100,16 +110,8 @@ class MavsdkCamera:
     @property
     def storage_free_images(self) -> float:
         """See `Camera.storage_free_images`."""
-        if not self._storages:
-            return math.inf
-        found, size = self._found, self._mib_per_image
-        if size is None:
-            pixels = found.image_width_px * found.image_height_px if found is not None else 0
-            size = pixels * _BYTES_PER_PX / 2**20
-        free = sum(self._storages.values())
-        if size <= 0:
-            return math.inf if free > 0 else 0.0
-        return float(math.floor(free / size))
+        found = self._found
+        return self._storage.free_images(0 if found is None else found.image_width_px * found.image_height_px)
 
     @property
     def surplus_photos(self) -> int:
@@ -139,8 +141,8 @@ class MavsdkCamera:
             on("CAMERA_FEEDBACK", self._feedback),
             on("CAMERA_CAPTURE_STATUS", self._capture_status),
             on("CAMERA_INFORMATION", self._stamped),
-            on("STORAGE_INFORMATION", self._storage),
-            self._link.when_attached(self._attach),
+            on("STORAGE_INFORMATION", self._stored),
+            *self._discovery.subscribe(),
         ]
         return self
 
@@ -166,26 +168,41 @@ class MavsdkCamera:
         self._link.requests.plugin(Camera)
         try:
             async with asyncio.timeout(timeout_s):
-                information = await self._choose()
+                choice = await self._discovery.choose()
         except TimeoutError as error:
-            raise DeviceError(f"no camera within {timeout_s:g} s: {self._why_not_found()}") from error
-        by_autopilot = information.component_id <= 6
-        pin = self._feedback_pin
-        if pin is None and by_autopilot and self._link.is_ardupilot:
-            pin = (await self._link.requests.parameter("CAM1_FEEDBAK_PIN") or -1) > 0
-        self._found = MavlinkCameraFound(
-            component=information.component_id,
-            vendor=information.vendor_name,
-            model=information.model_name,
-            image_width_px=information.horizontal_resolution_px,
-            image_height_px=information.vertical_resolution_px,
-            feedback_pin=bool(pin),
+            raise DeviceError(f"no camera within {timeout_s:g} s: {self._discovery.why_none()}") from error
+        camera = choice.camera
+        own_trigger = camera.by_autopilot and not self._link.is_ardupilot and not camera.flags
+        found = MavlinkCameraFound(
+            component=camera.component,
+            vendor=camera.vendor,
+            model=camera.model,
+            image_width_px=camera.image_width_px,
+            image_height_px=camera.image_height_px,
+            feedback_pin=camera.by_autopilot and await self._has_pin(own_trigger=own_trigger),
+            own_trigger=own_trigger,
+            why=choice.reason,
         )
-        for message in (STORAGE_INFORMATION, CAPTURE_STATUS):
-            with contextlib.suppress(DeviceError):  # then they are unknown
-                await self._link.requests.command(REQUEST_MESSAGE, [message], component=self._target)
-        _log.info("camera found", camera=self._found)
-        return self._found
+        if found.by_autopilot:
+            self._deferral.by_autopilot = True
+            self._deferral.told_s = await least_interval_s(self._link, own_trigger=own_trigger)
+            self._pace.told(self._deferral.told_s or 0.0)
+        elif camera.flags & (HAS_MODES | CAPTURES_VIDEO):
+            self._mode = PhotoMode(self._link, camera.component)
+            await self._mode.read()
+        self._found = found
+        if not own_trigger:
+            for message in (STORAGE_INFORMATION, CAPTURE_STATUS):
+                with contextlib.suppress(DeviceError):  # then they are unknown
+                    await self._link.requests.command(REQUEST_MESSAGE, [message], component=self._target)
+        others = [one.summary for one in self._discovery.candidates if one.component != found.component]
+        _log.info("camera found", camera=found, others=others)
+        return found
+
+    async def _has_pin(self, *, own_trigger: bool) -> bool:
+        if self._feedback_pin is not None:
+            return self._feedback_pin
+        return await has_feedback_pin(self._link, own_trigger=own_trigger)
 
     async def best_evidence(self) -> EvidenceLevel:
         """See `OpenCamera.best_evidence`."""
@@ -195,31 +212,108 @@ class MavsdkCamera:
         return EvidenceLevel.FEEDBACK_PIN if found.feedback_pin else EvidenceLevel.COUNTED
 
     async def trigger(self) -> PendingCapture:
-        """See `Camera.trigger`."""
+        """See `Camera.trigger`. A trigger that was refused or not answered, but deferred, returns when it is done."""
         found = await self.discover()
-        take_photo = partial(self._link.requests.plugin(Camera).take_photo, found.component)
         clock = self._link.clock
         async with self._triggering:
             self._numbers += 1
             if math.isnan(self._first_trigger_s):
                 self._first_trigger_s = clock.monotonic()
-            capture = Capture(self._numbers, clock=clock, poll=self._poll_status, synchronise=self._synchronise)
+            capture = Capture(
+                self._numbers,
+                clock=clock,
+                poll=None if found.own_trigger else self._poll_status,
+                synchronise=self._synchronise,
+                defer_s=self._deferral.may_defer_s(is_first=self._numbers == 1, clock_is_related=self._stamps.related),
+                must_report=self._deferral.must_report,
+            )
             capture.commanded(clock.monotonic())
             self._matcher.enter(capture)
-
-            def fire() -> float:
-                capture.commanded(clock.monotonic())
-                take_photo()
-                return latest_s(clock)  # the camera's interval started before that
-
             try:
-                acknowledged_s = await self._link.requests.mavsdk_call("taking a photo", fire)
+                capture.acknowledged(await self._fire(capture, found))
             except DeviceError as error:
-                if error.__cause__ is not None and "TIMEOUT" not in str(error.__cause__):
-                    self._matcher.withdraw(capture)  # refused; without an answer a photo may still be taken
-                raise
-            capture.acknowledged(acknowledged_s)
+                # without an answer a photo may still be taken
+                refused = error.__cause__ is not None and "TIMEOUT" not in str(error.__cause__)
+                if not await self._is_done_later(capture):
+                    if refused:
+                        await self._refused(capture)
+                    raise
+            self._pace.accepted(capture.commanded_s)
             return capture
+
+    async def _fire(self, capture: Capture, found: MavlinkCameraFound) -> float:
+        """Send the trigger; returns when it was acknowledged."""
+        clock = self._link.clock
+        if found.own_trigger:
+            capture.commanded(clock.monotonic())
+            result = await self._link.requests.command(DO_DIGICAM_CONTROL, [0, 0, 0, 0, 1])
+            if result != 0:
+                text = f"taking a photo (203): {MAV_RESULTS.get(result, result)}"
+                raise DeviceError(text) from DeviceError(text)
+            return clock.monotonic()
+        take_photo = partial(self._link.requests.plugin(Camera).take_photo, found.component)
+
+        def fire() -> float:
+            capture.commanded(clock.monotonic())
+            take_photo()
+            return latest_s(clock)  # the camera's interval started before that
+
+        return await self._link.requests.mavsdk_call("taking a photo", fire)
+
+    async def _is_done_later(self, capture: Capture) -> bool:
+        """Whether a trigger without an acceptance took its photo all the same, for which nothing may move meanwhile."""
+        if capture.defer_s <= 0:
+            return False
+        await capture.fired()
+        if capture.is_reported:
+            _log.info("a trigger that was not accepted was carried out later", number=capture.number)
+            return True
+        self._deferral.vain_waits += 1
+        return False
+
+    async def _refused(self, capture: Capture) -> None:
+        """Learn from a refusal: too soon, or not in photo mode (a camera that restarted in flight forgets it)."""
+        self._matcher.withdraw(capture)
+        self._pace.refused(capture.commanded_s)
+        now_s = self._link.clock.monotonic()
+        if self._mode is not None and self._prepared and now_s - self._mode_checked_s > _MODE_AGAIN_S:
+            self._mode_checked_s = now_s
+            with contextlib.suppress(DeviceError):
+                await self._mode.ensure()
+
+    # --- what a mission needs to know of it
+
+    @property
+    def candidates(self) -> list[CameraCandidate]:
+        """All cameras that were found, with what they can do."""
+        return self._discovery.candidates
+
+    @property
+    def mode(self) -> PhotoMode | None:
+        """The camera's mode; None if it has none."""
+        return self._mode
+
+    @property
+    def interval_s(self) -> float:
+        """See `PacesPhotos.interval_s`."""
+        return self._pace.interval_s
+
+    @property
+    def ready_s(self) -> float:
+        """See `PacesPhotos.ready_s`."""
+        return self._pace.ready_s
+
+    async def prepare(self) -> str:
+        """See `PreparesForPhotos.prepare`: photo mode."""
+        await self.discover()
+        self._prepared = True
+        return "" if self._mode is None else await self._mode.ensure()
+
+    async def restore(self) -> None:
+        """See `PreparesForPhotos.restore`."""
+        self._prepared = False
+        if self._mode is not None:
+            await self._mode.restore()
 
     @property
     def image_count(self) -> int:
@@ -249,7 +343,8 @@ class MavsdkCamera:
 
     def _image_captured(self, message: MavMessage) -> None:
         if self._is_ours(message):
-            self._link.post(self._report_captured, message)
+            own_trigger = self._found is not None and self._found.own_trigger
+            self._link.post(self._report_feedback if own_trigger else self._report_captured, message)
 
     def _feedback(self, message: MavMessage) -> None:
         if message.component_id == AUTOPILOT:
@@ -265,22 +360,10 @@ class MavsdkCamera:
             self._heard_s = time.monotonic()
             self._link.post(self._take_stamp, message.fields["time_boot_ms"] / 1000.0, message.received_s)
 
-    def _storage(self, message: MavMessage) -> None:
-        if not self._is_ours(message):
-            return
-        self._stamped(message)
-        fields = message.fields
-        status, free = int(fields["status"]), number(fields["available_capacity"])
-        storages = dict(self._storages)
-        if status in (_STORAGE_EMPTY, _STORAGE_UNFORMATTED):
-            storages[int(fields["storage_id"])] = 0.0
-        elif status == _STORAGE_READY and math.isfinite(free):
-            storages[int(fields["storage_id"])] = free
-        self._storages = storages
-
-    def _cameras_listed(self, cameras: CameraList, _user_data: object) -> None:
-        listed = {camera.component_id: camera for camera in cameras.cameras}
-        self._link.post(self._take_list, listed)
+    def _stored(self, message: MavMessage) -> None:
+        if self._is_ours(message):
+            self._stamped(message)
+            self._storage.note(message)
 
     def _is_ours(self, message: MavMessage) -> bool:
         wanted = self._found.component if self._found is not None else self._component
@@ -292,34 +375,6 @@ class MavsdkCamera:
     def _target(self) -> int:
         """Target component of commands: the autopilot for its own shutters."""
         return self._found.component if self._found is not None and not self._found.by_autopilot else AUTOPILOT
-
-    def _attach(self) -> None:
-        plugin = self._link.requests.plugin(Camera)
-        handle = plugin.subscribe_camera_list(self._cameras_listed)
-        self._off.append(partial(plugin.unsubscribe_camera_list, handle))
-
-    def _take_list(self, listed: dict[int, Information]) -> None:
-        self._listed = listed
-        self._list_changed.set()
-
-    async def _choose(self) -> Information:
-        """The requested camera, or one with heartbeats; the autopilot's shutter if no other appears in `_PREFER_S`."""
-        since = time.monotonic()
-        while True:
-            self._list_changed.clear()
-            if self._component:
-                if self._component in self._listed:
-                    return self._listed[self._component]
-            else:
-                own = [camera for component, camera in sorted(self._listed.items()) if component > 6]
-                if own:
-                    return own[0]
-                beats = any(kind == _MAV_TYPE_CAMERA for kind, _ in self._link.components.values())
-                if self._listed and not beats and time.monotonic() - since > _PREFER_S:
-                    return next(iter(self._listed.values()))
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(0.25):
-                    await self._list_changed.wait()
 
     def _take_stamp(self, stamp_s: float, received_s: float) -> None:
         """Relate the camera's clock to ours by a message that was stamped when it was sent."""
@@ -343,7 +398,12 @@ class MavsdkCamera:
     def _report_feedback(self, message: MavMessage) -> None:
         if self._recalling:
             return
-        self._matcher.report(feedback_report(message, pin=self._found is not None and self._found.feedback_pin))
+        self._deferral.reports += 1
+        pin = self._found is not None and self._found.feedback_pin
+        report = feedback_report(message, pin=pin) if message.name == "CAMERA_FEEDBACK" else px4_report(message)
+        capture = self._matcher.report(report)
+        if capture is not None:
+            self._pace.triggered(report.exposed_s, capture.commanded_s)
 
     async def _poll_status(self, capture: Capture) -> None:
         """Check for the file of a reported photo; else request the image count and a report that may have been lost.
@@ -367,23 +427,13 @@ class MavsdkCamera:
             index = self._last_index + 1 if self._last_index >= 0 else images - 1
             await link.requests.command(REQUEST_MESSAGE, [IMAGE_CAPTURED, index], component=target)
 
-    def _why_not_found(self) -> str:
-        if not self._link.connected:
-            return "no heartbeat from the autopilot"
-        seen = ", ".join(str(component) for component in sorted(self._listed)) or "none"
-        if self._component and self._listed:
-            return f"component {self._component} is configured, but MAVSDK found: {seen}"
-        beating = [component for component, (kind, _) in self._link.components.items() if kind == _MAV_TYPE_CAMERA]
-        if beating:
-            return f"component {beating[0]} sends camera heartbeats but no CAMERA_INFORMATION (259) on request"
-        return (
-            "no component answers requests for CAMERA_INFORMATION (259); camera on a servo or relay: set CAM1_TYPE "
-            "(ArduPilot) and reboot; MAVLink camera: is it on, and does the autopilot forward its messages?"
-        )
-
 
 def _open(section: CameraSection, link: MavsdkLink) -> AbstractAsyncContextManager[OpenCamera]:
-    return MavsdkCamera(link, component=section.component)
+    image_px = None
+    with contextlib.suppress(PanoexecError):  # a bad profile is reported where it is needed
+        camera = load_profile(section.profile, focal_length_mm=section.focal_length_mm).camera
+        image_px = (camera.image_width_px, camera.image_height_px)
+    return MavsdkCamera(link, component=section.component, image_px=image_px)
 
 
 KIND: Final = CameraKind(

@@ -59,10 +59,12 @@ class SerialShutterFound:
     Attributes:
         label: its port and line.
         is_two_way, may_tell_files, image_width_px, image_height_px: nothing comes back over the cable.
+        why: there is no choice.
     """
 
     label: str
     is_two_way: bool = False
+    why: str = ""
     may_tell_files: bool = False
     image_width_px: int = 0
     image_height_px: int = 0

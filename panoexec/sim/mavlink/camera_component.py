@@ -1,4 +1,4 @@
-"""The camera as a MAVLink camera (component 100), camera protocol version 2.
+"""The camera as a MAVLink camera (component 100, or 101 beside another one), camera protocol version 2.
 
 Sources: MAVLink common.xml, messages 259 to 263, MAV_CMD_IMAGE_START_CAPTURE (2000).
 """
@@ -21,6 +21,8 @@ from panoexec.sim.physics.gimbal import Angles, GimbalPhysics, quaternion
 from panoexec.sim.physics.world import SimClock, Timeline
 
 COMPONENT_ID = mavlink.MAV_COMP_ID_CAMERA
+BESIDE_ID = mavlink.MAV_COMP_ID_CAMERA2
+"""Its component where another one is component 100."""
 VENDOR = "panoexec"
 _URL_BYTES = 205
 _RETRANSMISSION_S = 0.8
@@ -105,6 +107,8 @@ class CameraComponent:
         self._develop = develop
         self._system_id = config.system_id
         self._captured: dict[int, Message] = {}
+        self._booted_s = self._boot_s
+        self._mode = mavlink.CAMERA_MODE_VIDEO if config.camera.starts_in_video else mavlink.CAMERA_MODE_IMAGE
         self._last_photo: PhotoCommand | None = None
         self._sequence_left = 0
         self._is_there = False
@@ -122,9 +126,11 @@ class CameraComponent:
             look=lambda: gimbal_state(gimbal.physics, timeline.now_s),
             on_exposed=self._exposed,
             time_resolution_s=0.0 if config.attach_url is None else TIME_RESOLUTION_S,
+            seed=config.seed,
         )
+        component = COMPONENT_ID if config.camera_beside == "none" else BESIDE_ID
         self._component = Component(
-            timeline=timeline, sender=Sender(config.system_id, COMPONENT_ID), link=link, heartbeat=self._heartbeat
+            timeline=timeline, sender=Sender(config.system_id, component), link=link, heartbeat=self._heartbeat
         )
         self._component.builders.update(
             {
@@ -205,8 +211,15 @@ class CameraComponent:
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def _set_mode(self, command: Command) -> int:
-        image = int(command.params[1]) == mavlink.CAMERA_MODE_IMAGE
-        return int(mavlink.MAV_RESULT_ACCEPTED if image else mavlink.MAV_RESULT_UNSUPPORTED)
+        wanted = int(command.params[1])
+        if wanted not in {mavlink.CAMERA_MODE_IMAGE, mavlink.CAMERA_MODE_VIDEO}:
+            return int(mavlink.MAV_RESULT_UNSUPPORTED)
+        if self._config.refuses_modes:
+            return int(mavlink.MAV_RESULT_DENIED)
+        if wanted != self._mode:
+            self._mode = wanted
+            self._component.send(self._settings())  # as the protocol demands at every change
+        return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def _again(self, index: int) -> int:
         """Send the message of an earlier photo again."""
@@ -231,7 +244,7 @@ class CameraComponent:
     def _shoot(self, command: Command) -> int | None:
         if self._faults.photo("photo-lost"):
             return None
-        if self._faults.photo("photo-refused"):
+        if self._faults.photo("photo-refused") or self._mode != mavlink.CAMERA_MODE_IMAGE:
             return int(_REFUSALS[Refusal.FAULT])
         refusal = self.model.shoot()
         if refusal is not None:
@@ -260,7 +273,7 @@ class CameraComponent:
             url = url.rsplit("/", 1)[-1]
         fix = self.fix
         message = mavlink.MAVLink_camera_image_captured_message(
-            self._stamp_ms(exposure.start_s),
+            0 if self._config.undated else self._stamp_ms(exposure.start_s),
             round(self._clock.utc(exposure.start_s) * 1e6),
             1,
             round(fix.latitude_deg * 1e7),
@@ -272,12 +285,23 @@ class CameraComponent:
             1,
             url.encode(),
         )
+        config, taken = self._config, self.model.images
+        if config.reset_after and taken == config.reset_after:
+            self._timeline.after(config.report_s + 0.3, self._restart)
+        if config.silent_every and taken % config.silent_every == 0:
+            return
         self._captured[exposure.index] = message
         if self._faults.photo("capture-lost"):
             return
-        self._timeline.after(self._config.report_s, lambda: self._component.send(message))
+        self._timeline.after(config.report_s, lambda: self._component.send(message))
         if self._faults.photo("capture-twice"):
             self._timeline.after(self._config.report_s + 0.2, lambda: self._component.send(message))
+
+    def _restart(self) -> None:
+        """Boot anew: index and clock begin again, earlier photos are forgotten."""
+        self.model.restart()
+        self._captured.clear()
+        self._booted_s = self._timeline.now_s
 
     def _boot_ms(self) -> int:
         return self._stamp_ms(self._timeline.now_s)
@@ -285,7 +309,7 @@ class CameraComponent:
     def _stamp_ms(self, time_s: float) -> int:
         """A moment by the camera's own clock, which may run slow or be stepped."""
         config = self._config
-        stamp_s = config.clock_rate * (time_s - self._boot_s)
+        stamp_s = config.clock_rate * (time_s - self._booted_s)
         if stamp_s >= config.clock_step_at_s:
             stamp_s += config.clock_step_s
         return max(0, round(stamp_s * 1000))
@@ -297,6 +321,9 @@ class CameraComponent:
 
     def _information(self) -> Message:
         optics = self._config.optics
+        flags = [mavlink.CAMERA_CAP_FLAGS_CAPTURE_IMAGE, mavlink.CAMERA_CAP_FLAGS_HAS_MODES]
+        if self._config.starts_in_video:
+            flags.append(mavlink.CAMERA_CAP_FLAGS_CAPTURE_VIDEO)
         return mavlink.MAVLink_camera_information_message(
             self._boot_ms(),
             padded(VENDOR, 32),
@@ -308,14 +335,14 @@ class CameraComponent:
             optics.image_width_px,
             optics.image_height_px,
             0,
-            bitmask((mavlink.CAMERA_CAP_FLAGS_CAPTURE_IMAGE, mavlink.CAMERA_CAP_FLAGS_HAS_MODES)),
+            bitmask(flags),
             0,
             b"",
             gimbal_device_id=mavlink.MAV_COMP_ID_GIMBAL,
         )
 
     def _settings(self) -> Message:
-        return mavlink.MAVLink_camera_settings_message(self._boot_ms(), mavlink.CAMERA_MODE_IMAGE, NAN, NAN)
+        return mavlink.MAVLink_camera_settings_message(self._boot_ms(), self._mode, NAN, NAN)
 
     def _storage(self) -> Message:
         total, free = self._config.storage_mib, self.model.available_mib

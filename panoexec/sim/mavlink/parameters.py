@@ -26,12 +26,17 @@ class Parameters:
                 "CAM1_TYPE": 0 if config.camera_kind == "mavlink" else 1,
                 "CAM1_FEEDBAK_PIN": -1.0,
             }
+            if config.camera.trigger_min_told:
+                self._values["CAM1_INTRVAL_MIN"] = config.camera.trigger_min_s
         else:
             self._values = {
                 "MAV_SYS_ID": config.system_id,
                 "MNT_MODE_IN": 4,
                 "MNT_MODE_OUT": 0 if config.mount == "echo" else 2,
             }
+            if config.camera_kind == "px4-trigger":  # without its driver PX4 has no such parameters
+                interval_ms = 1000 * max(config.camera.trigger_min_s, 0.04)
+                self._values |= {"TRIG_MODE": 1, "TRIG_INTERFACE": 1, "TRIG_INTERVAL": interval_ms}
         if not config.mount_told:
             self._values.pop("MNT1_TYPE", None)
             self._values.pop("MNT_MODE_OUT", None)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import Faults
+from panoexec.sim.mavlink.camera_beside import CameraBeside
 from panoexec.sim.mavlink.camera_component import CameraComponent, Fix
 from panoexec.sim.mavlink.gimbal_beside import SecondGimbal, Stranger
 from panoexec.sim.mavlink.gimbal_component import GimbalComponent
@@ -26,7 +27,8 @@ class Payload:
         gimbal: component 154.
         second: another gimbal; None if there is none.
         stranger: a component that tells wrong attitudes; None if there is none.
-        camera: component 100.
+        camera: component 100, or 101 beside another one.
+        beside: what is component 100 then; None if there is none.
         released: instead of that, a camera that an autopilot triggers by a contact; None if there is none.
     """
 
@@ -55,6 +57,10 @@ class Payload:
             config, clock=clock, timeline=timeline, gimbal=self.gimbal, faults=faults, link=link, develop=develop
         )
 
+        self.beside: CameraBeside | None = None
+        if config.camera_beside != "none" and config.camera_kind == "mavlink":
+            self.beside = CameraBeside(config, timeline=timeline, link=link)
+
     def start_gimbals(self) -> None:
         """Start the gimbal and what is beside it."""
         self.gimbal.start()
@@ -67,7 +73,13 @@ class Payload:
         """Start heartbeats and streams."""
         self.start_gimbals()
         if self.released is None:
-            self.camera.start()
+            self.start_camera()
+
+    def start_camera(self) -> None:
+        """Start the heartbeats of the camera, and of what is beside it, which boots sooner."""
+        if self.beside is not None:
+            self.beside.start()
+        self.camera.start()
 
     def receive(self, message: Message, frame: bytes) -> None:
         """Handle a message from the link."""
@@ -75,6 +87,8 @@ class Payload:
         self.gimbal.receive(message)
         if self.second is not None:
             self.second.receive(message)
+        if self.beside is not None:
+            self.beside.receive(message)
         if self.released is None:
             self.camera.receive(message)
         else:

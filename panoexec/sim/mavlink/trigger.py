@@ -1,7 +1,8 @@
 """A camera on a servo or relay of the autopilot (ArduPilot's CAM1_TYPE 1): no name, no size, no evidence but a count.
 
 The autopilot (component 1) answers for it: CAMERA_INFORMATION without contents, and CAMERA_FEEDBACK (180) at the
-trigger, with the vehicle's attitude. Photos are exposed and rendered as usual.
+trigger, with the vehicle's attitude. Photos are exposed and rendered as usual. With CAM1_INTRVAL_MIN the autopilot
+keeps a trigger that comes too early and carries it out later, whatever it answered: one at most, as ArduPilot does.
 """
 
 from __future__ import annotations
@@ -54,13 +55,20 @@ class CameraTrigger:
         self._faults = faults
         self._develop = develop
         self._count = 0
+        self._config = config.camera
+        self._triggered_s = -math.inf
+        self._is_deferred = False
         self._last_photo: PhotoCommand | None = None
         self._last_feedback = mavlink.MAVLink_camera_feedback_message(*(0,) * 13, 0)
         self._boot_ms: Callable[[], int] = lambda: 0
         self._airframe: Airframe | None = None
         self._send: Callable[[Message], None] = lambda _: None
         self.model = CameraModel(
-            config.camera, timeline, look=lambda: gimbal_state(physics, timeline.now_s), on_exposed=self._exposed
+            config.camera,
+            timeline,
+            look=lambda: gimbal_state(physics, timeline.now_s),
+            on_exposed=self._exposed,
+            seed=config.seed,
         )
 
     def connect(self, *, boot_ms: Callable[[], int], airframe: Airframe, send: Callable[[Message], None]) -> None:
@@ -78,11 +86,8 @@ class CameraTrigger:
 
     def command(self, command: Command) -> int | None:
         """Trigger; the command is accepted whether or not a photo results."""
-        accepted = int(mavlink.MAV_RESULT_ACCEPTED)
-        if command.id == mavlink.MAV_CMD_DO_DIGICAM_CONTROL and command.params[4] < 0.5:
-            return accepted
-        if command.id not in (mavlink.MAV_CMD_IMAGE_START_CAPTURE, mavlink.MAV_CMD_DO_DIGICAM_CONTROL):
-            return accepted
+        if not self._is_trigger(command):
+            return int(mavlink.MAV_RESULT_ACCEPTED)
         now, last = self._timeline.now_s, self._last_photo
         if last is not None and last.is_repeated_by(command, (now - last.sent_s) / self._clock.speedup):
             self._last_photo = replace(last, sent_s=now, repeats=last.repeats + 1)
@@ -92,11 +97,35 @@ class CameraTrigger:
         self._last_photo = PhotoCommand(command=command, sent_s=now, result=result)
         return result
 
+    @staticmethod
+    def _is_trigger(command: Command) -> bool:
+        """Whether a command of `commands` asks for a photo."""
+        if command.id == mavlink.MAV_CMD_DO_DIGICAM_CONTROL:
+            return command.params[4] >= 0.5
+        return command.id == int(mavlink.MAV_CMD_IMAGE_START_CAPTURE)
+
     def _trigger(self) -> int | None:
         if self._faults.photo("photo-lost"):
             return None
         if self._faults.photo("photo-refused"):
             return int(mavlink.MAV_RESULT_DENIED)
+        wait_s = self._triggered_s + self._config.trigger_min_s - self._timeline.now_s
+        if self._config.trigger_min_s and wait_s > 0:
+            if not self._is_deferred:
+                self._is_deferred = True
+                self._timeline.after(wait_s, self._deferred)
+            fails = self._config.trigger_fails
+            return int(mavlink.MAV_RESULT_FAILED if fails else mavlink.MAV_RESULT_ACCEPTED)
+        self._close_contact()
+        return int(mavlink.MAV_RESULT_ACCEPTED)
+
+    def _deferred(self) -> None:
+        self._is_deferred = False
+        self._close_contact()
+
+    def _close_contact(self) -> None:
+        """Trigger the camera now, and report that."""
+        self._triggered_s = self._timeline.now_s
         self._count += 1
         self.model.shoot()
         apply_drift_fault(self._faults, self._physics)
@@ -105,9 +134,9 @@ class CameraTrigger:
             self._send(message)
             if self._faults.photo("capture-twice"):
                 self._timeline.after(0.2, lambda: self._send(message))
-        return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def _feedback(self) -> Message:
+        """The message that reports the trigger."""
         assert self._airframe is not None
         position, state = self._airframe.position(), self._airframe.state()
         yaw = (state.yaw_deg + self._physics.heading_error_deg) % 360

@@ -8,7 +8,7 @@ from enum import Enum, auto
 
 from panoexec.sim.config import CameraConfig
 from panoexec.sim.physics.gimbal import Angles
-from panoexec.sim.physics.world import Timeline
+from panoexec.sim.physics.world import Timeline, seeded
 
 
 class Refusal(Enum):
@@ -64,6 +64,7 @@ class CameraModel:
         look: Callable[[], GimbalState],
         on_exposed: Callable[[Exposure], None],
         time_resolution_s: float = 0.0,
+        seed: int = 0,
     ) -> None:
         """Create a camera that is ready.
 
@@ -73,6 +74,7 @@ class CameraModel:
             look: returns the gimbal's state at the current time.
             on_exposed: receives each photo.
             time_resolution_s: a command that is early by at most this time is accepted.
+            seed: of the shutter's irregularity.
         """
         self.config = config
         self._time_resolution_s = time_resolution_s
@@ -81,6 +83,9 @@ class CameraModel:
         self._on_exposed = on_exposed
         self._ready_s = 0.0
         self._busy = False
+        self._queued = 0
+        self._index = config.index_start - 1
+        self._random = seeded(seed, "shutter")
         self.storage_full = False
         self.images = 0
 
@@ -102,15 +107,42 @@ class CameraModel:
         return max(0.0, self._ready_s - self._timeline.now_s)
 
     def shoot(self) -> Refusal | None:
-        """Start a photo; None if accepted, else the reason."""
-        if self._busy or self.wait_s > self._time_resolution_s + 1e-9:
-            return Refusal.BUSY
+        """Start a photo, or queue it; None if accepted, else the reason."""
         if self.available_mib < self.config.image_mib:
             return Refusal.STORAGE_FULL
+        if self._busy or self.wait_s > self._time_resolution_s + 1e-9:
+            if self._queued >= self.config.queue:
+                return Refusal.BUSY
+            self._queued += 1
+            if self._queued == 1:
+                self._timeline.after(self._until_free_s, self._from_queue)
+            return None
+        self._begin()
+        return None
+
+    @property
+    def _until_free_s(self) -> float:
+        """When to look at the queue again."""
+        return max(self.wait_s, 0.01)
+
+    def _from_queue(self) -> None:
+        if self._busy or self.wait_s > self._time_resolution_s + 1e-9:
+            self._timeline.after(self._until_free_s, self._from_queue)
+            return
+        self._queued -= 1
+        self._begin()
+        if self._queued:
+            self._timeline.after(self._until_free_s, self._from_queue)
+
+    def _begin(self) -> None:
         self._busy = True
         self._ready_s = self._timeline.now_s + self.config.interval_s
-        self._timeline.after(self.config.latency_s, self._open)
-        return None
+        jitter_s = self.config.latency_jitter_s * self._random.random() if self.config.latency_jitter_s else 0.0
+        self._timeline.after(self.config.latency_s + jitter_s, self._open)
+
+    def restart(self) -> None:
+        """Forget the images' numbers, as a camera does that restarts."""
+        self._index = self.config.index_start - 1
 
     def _open(self) -> None:
         start, first = self._timeline.now_s, self._look()
@@ -122,7 +154,8 @@ class CameraModel:
 
     def _close(self, start_s: float, first: GimbalState, samples: list[Angles]) -> None:
         self._busy = False
-        index = self.config.index_start + self.images
+        self._index += 1
+        index = self._index
         self.images += 1
         self._on_exposed(
             Exposure(

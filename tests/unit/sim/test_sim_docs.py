@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from panoexec.sim import settings
+from panoexec.sim.camera_kinds import CAMERA_KINDS
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import FAULTS
 from tests.repository import ROOT
@@ -28,3 +29,9 @@ def test_every_fault_is_documented_with_its_text_and_size() -> None:
     for name, fault in FAULTS.items():
         assert documented[name][1] == fault.text
         assert documented[name][2] == (f"{fault.size:g} {fault.unit}" if fault.unit else "")
+
+
+def test_every_kind_of_camera_is_documented_with_its_text() -> None:
+    section = TEXT[TEXT.index("## Kinds of cameras") : TEXT.index("## Payload of a real ArduPilot")]
+    rows = [line.strip("| ").split(" | ") for line in section.splitlines() if line.startswith("| `")]
+    assert {name.strip("`"): text for name, text in rows} == {name: kind.text for name, kind in CAMERA_KINDS.items()}

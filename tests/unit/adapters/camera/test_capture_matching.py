@@ -280,3 +280,76 @@ def test_no_photo_is_ever_credited_to_another_trigger(
     for (start, capture), (following, _) in zip(triggers, [*triggers[1:], (math.inf, triggers[0][1])], strict=True):
         if capture.number in truth and following - start > 0.5:
             assert capture.known.image_index == truth[capture.number]
+
+
+def test_a_photo_that_a_reporting_camera_does_not_report_is_contradicted() -> None:
+    async def main() -> None:
+        clock, ledger = VirtualClock(), CaptureMatcher()
+        now = clock.monotonic()
+        capture = Capture(1, clock=clock, must_report=True)
+        capture.commanded(now)
+        ledger.enter(capture)
+        capture.acknowledged(now + 0.01)
+        ledger.counted(4, now - 1.0)
+        ledger.counted(5, now + 1.0)
+        assert capture.known.level is EvidenceLevel.COUNTED
+        assert capture.known.contradiction == "", "its report may still come"
+        found = await capture.evidence(EvidenceLevel.COUNTED, 3.0)
+        assert clock.monotonic() - now == 3.0, "a count alone does not end the wait"
+        assert found.contradiction == "the camera did not report this photo, but reports its photos"
+        capture.add(report(5, now + 4.0, exposed_s=now + 0.1))
+        assert capture.known.contradiction == ""
+
+    run_virtual(main())
+
+
+def test_an_impossible_stamp_of_a_camera_that_dates_its_photos_is_no_proof() -> None:
+    clock = CameraClock()
+    for second in range(10):
+        clock.note(100.0 + second, 10.0 + second)
+    ledger = CaptureMatcher(clock)
+    first, second_one = fired(ledger, 1, 20.0), fired(ledger, 2, 22.0)
+    ledger.report(stamped(1, 20.3, 110.1, clock))
+    assert (known(first), ledger.dated_photos) == ((CAPTURED, 1), 1)
+    ledger.report(stamped(2, 22.3, 500.0, clock))
+    ledger.redate(30.0)
+    assert known(second_one) == (CAPTURED, 2)
+    assert second_one.known.contradiction == "the camera's stamp of photo 2 cannot be true: it may be another one"
+    ledger.report(stamped(2, 22.6, 500.0, clock))  # the same again does not make it true
+    assert second_one.known.contradiction
+
+
+def test_a_camera_that_never_dates_its_photos_is_not_contradicted() -> None:
+    ledger = CaptureMatcher()
+    one = fired(ledger, 1, 10.0)
+    ledger.report(report(1, 10.3))
+    assert (ledger.dated_photos, ledger.undated_photos) == (0, 1)
+    assert (known(one), one.known.contradiction) == ((CAPTURED, 1), "")
+
+
+def test_a_trigger_that_may_be_deferred_is_waited_for_until_it_is_reported_or_cannot_be() -> None:
+    async def main() -> None:
+        clock = VirtualClock()
+        now = clock.monotonic()
+        plain, deferred, lost = (Capture(n, clock=clock, defer_s=s) for n, s in ((1, 0.0), (2, 3.0), (3, 3.0)))
+        for capture in (plain, deferred, lost):
+            capture.commanded(now)
+        assert await plain.fired() == now
+        loop = asyncio.get_running_loop()
+        feedback = report(5, now + 1.5, exposed_s=now + 1.5, source=Source.FEEDBACK, level=EvidenceLevel.COUNTED)
+        loop.call_later(1.5, lambda: deferred.add(dated(feedback, now + 1.5, 0.1)))
+        assert await deferred.fired() == now + 1.5
+        assert clock.monotonic() - now == 1.5
+        assert await lost.fired() == now
+        assert clock.monotonic() - now == 3.0
+
+    run_virtual(main())
+
+
+def test_a_photo_of_a_refused_trigger_is_found_out() -> None:
+    ledger = CaptureMatcher()
+    refused = fired(ledger, 1, 10.0)
+    ledger.withdraw(refused)
+    assert ledger.report(report(3, 11.4, exposed_s=11.2)) is None
+    assert ledger.refused_taken_after_s == pytest.approx(1.2)
+    assert known(refused) == ACKNOWLEDGED
