@@ -28,6 +28,8 @@ PAUSE_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
         "link": "link lost, waiting",
         "attitude": "no gimbal attitude, waiting",
         "gimbal_control": "another station has the gimbal",
+        "gimbal_unknown": "gimbal control unknown, asking",
+        "gimbal_lost": "gimbal control lost, acquiring",
         "pilot": "pilot has control, gimbal released",
         "turning": "cannot turn in this flight mode",
         "landed": "not in the air, gimbal released",

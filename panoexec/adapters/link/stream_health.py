@@ -13,6 +13,8 @@ _SILENT_S: Final = 1.0
 _MAX_RETRY_S: Final = 10.0
 _REFUSED_RETRY_S: Final = 30.0
 _BOOT_BACK_S: Final = 1.0
+_BOOT_AHEAD_S: Final = 10.0
+"""A message this far ahead of those before it is believed when the next one agrees with it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,6 +55,7 @@ class RebootDetector:
         """How many were detected."""
         self._newest_s = -math.inf
         self._heard_s = math.inf
+        self._ahead_s = math.inf
 
     def note(self, boot_s: float, heard_s: float) -> bool:
         """Take the time since boot of a message; True if the autopilot rebooted since the last message.
@@ -60,6 +63,8 @@ class RebootDetector:
         Two signs: the time runs backwards by more than messages overtake each other, or the autopilot has been up for
         no longer than it was silent. The second one finds the reboot of an autopilot that had only just started: it
         forgets its message intervals, and when it is heard again it is already up for longer than before.
+
+        A single message from the future is dropped: the ones after it would look like a reboot.
 
         Args:
             boot_s: time since boot, seconds.
@@ -70,7 +75,14 @@ class RebootDetector:
         rebooted = boot_s < self._newest_s - _BOOT_BACK_S or boot_s <= silent_s
         if rebooted:
             self.reboots += 1
-        self._newest_s = boot_s if rebooted else max(self._newest_s, boot_s)
+            self._newest_s, self._ahead_s = boot_s, math.inf
+        elif math.isfinite(self._newest_s) and boot_s > self._newest_s + _BOOT_AHEAD_S:
+            if self._ahead_s - _BOOT_BACK_S <= boot_s <= self._ahead_s + _BOOT_AHEAD_S:
+                self._newest_s, self._ahead_s = boot_s, math.inf
+            else:
+                self._ahead_s = boot_s
+        else:
+            self._newest_s, self._ahead_s = max(self._newest_s, boot_s), math.inf
         return rebooted
 
 
