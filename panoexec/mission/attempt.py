@@ -14,7 +14,7 @@ from panoexec.clock import Clock
 from panoexec.devices import Camera, CaptureEvidence, EvidenceLevel, Gimbal, PendingCapture
 from panoexec.errors import DeviceError
 from panoexec.mission.attempt_result import Exposure, NotSettled, Settled
-from panoexec.mission.dated_exposure import ShutterLag, is_dated, window
+from panoexec.mission.dated_exposure import ShutterLag, is_dated, is_undatable, window
 from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.pointing.poses import PoseReader, read_pose, to_north
 from panoexec.mission.pointing.tolerance_gate import SettleLimits, SettleTracker, Target, WindowVerdict, judge_window
@@ -193,7 +193,7 @@ class Shooter:
     async def judge_date(
         self, shot: Shot, found: CaptureEvidence, commanded_s: float, exposure: Exposure
     ) -> WindowVerdict | None:
-        """The verdict at the date of a photo; None if it has none, or lies inside the window that was judged.
+        """The verdict at the date of a photo; None if nothing dates it, or it lies inside the window that was judged.
 
         Args:
             shot: where the camera was to look.
@@ -201,7 +201,7 @@ class Shooter:
             commanded_s: when its trigger went out.
             exposure: of the attempt.
         """
-        if self.open_loop or not is_dated(found):
+        if self.open_loop or not (is_dated(found) or is_undatable(found)):
             return None
         start_s, end_s = window(found, commanded_s, self.settings)
         if exposure.captures[0].commanded_s <= start_s and end_s <= exposure.end_s:

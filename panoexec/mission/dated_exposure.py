@@ -41,6 +41,11 @@ class ShutterLag:
 
     def note(self, found: CaptureEvidence, commanded_s: float) -> str:
         """Add the date of a photo; returns a warning for the operator, "" if there is none."""
+        if is_undatable(found):
+            report_s = found.received_s - commanded_s  # the shutter opened before the report: wait for that long
+            if 0 <= report_s <= _MAX_LAG_S:
+                self._measured_s.append(report_s)
+            return ""
         if not is_dated(found) or found.level < EvidenceLevel.FEEDBACK_PIN:
             return ""
         lag_s = found.exposed_s - commanded_s
@@ -62,12 +67,37 @@ def is_dated(found: CaptureEvidence) -> bool:
     return math.isfinite(found.exposed_s) and found.exposed_error_s <= MAX_DATE_ERROR_S
 
 
+def is_undatable(found: CaptureEvidence) -> bool:
+    """Whether a camera stamped its report with a time that cannot be related to the mission's clock well enough.
+
+    The camera's clock was stepped, or nothing related the two clocks: all that is known is that the photo was exposed
+    between its trigger and its report.
+    """
+    stamped = found.level >= EvidenceLevel.CAPTURE_MESSAGE and math.isfinite(found.exposed_vehicle_s)
+    return stamped and not is_dated(found)
+
+
+def is_before(found: CaptureEvidence, commanded_s: float) -> bool:
+    """Whether a photo is dated before its trigger, so that it cannot be the one that was requested."""
+    return is_dated(found) and found.exposed_s + found.exposed_error_s < commanded_s
+
+
+def when(found: CaptureEvidence, commanded_s: float) -> str:
+    """When a photo was exposed, as far as its report tells, for a reason."""
+    if is_dated(found):
+        return f"exposed {found.exposed_s - commanded_s:.2f} s after its trigger"
+    return f"reported {found.received_s - commanded_s:.2f} s after its trigger with a time that cannot be dated"
+
+
 def window(found: CaptureEvidence, commanded_s: float, settings: MissionSettings) -> tuple[float, float]:
     """The interval in which a dated photo was exposed, bounds included, on the mission's clock.
 
     Not before its trigger; and not after its report, where the camera reports a photo that it has. Where only the
-    trigger is dated (CAMERA_FEEDBACK without a pin, by its arrival), the exposure follows within the bound.
+    trigger is dated (CAMERA_FEEDBACK without a pin, by its arrival), the exposure follows within the bound. A report
+    that cannot be dated bounds the exposure only by its arrival.
     """
+    if is_undatable(found):
+        return commanded_s, found.received_s
     start_s = max(commanded_s, found.exposed_s - found.exposed_error_s)
     if found.level < EvidenceLevel.FEEDBACK_PIN:
         prompt = found.exposed_s - commanded_s <= found.exposed_error_s
