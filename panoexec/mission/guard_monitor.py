@@ -71,8 +71,9 @@ class GuardMonitor:
         found = {f.code: f for guard in self._guards if (f := guard.check(situation)) is not None}
         for finding in found.values():
             context.requests.hold(finding)
-        for code in set(context.requests.holds) - set(found) - {"command"}:
-            context.requests.clear(code, now_s=now, clear_s=context.settings.guards.clear_s)
+        for code in [code for code, hold in context.requests.holds.items() if not hold.finding.retry]:
+            if code not in found:
+                context.requests.clear(code, now_s=now, clear_s=context.settings.guards.clear_s)
 
     async def hold(self) -> None:
         """Hold until no hold is left (the mission is then capturing) or shooting must end."""

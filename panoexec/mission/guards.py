@@ -74,12 +74,14 @@ class Finding:
         reason: for the pilot.
         automatic: the mission continues by itself when the cause is gone.
         release: the gimbal must be released at once.
+        retry: only another attempt shows whether the cause is gone, so `resume` is always possible.
     """
 
     code: str
     reason: str
     automatic: bool
     release: bool = False
+    retry: bool = False
 
 
 class Guard(Protocol):

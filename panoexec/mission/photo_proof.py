@@ -22,12 +22,13 @@ from panoexec.mission.measured_certificate import overlaps_hold
 from panoexec.mission.protocols import ReportsPhotos
 
 _REMEMBERED: Final = 64
-"""Accepted photos without a report or a date that are looked at again."""
+"""How many of the last accepted photos are judged again."""
 _REQUIRED_PATIENCE: Final = 2.0
 """How much longer than `evidence_s` a required report is waited for: it is requested from the camera meanwhile."""
 _LAST_LOOK_S: Final = 20.0
 """Longest wait for the first report of a camera at the end of a mission."""
 _LOOK_EVERY_S: Final = 0.5
+_TWICE: Final = "the camera's reports assign the same photo to two shots"
 
 
 class Verdicts(Protocol):
@@ -48,7 +49,7 @@ class Verdicts(Protocol):
 
 @dataclass(slots=True, kw_only=True)
 class _Accepted:
-    """An accepted attempt whose photos the camera has not reported, or not dated (yet)."""
+    """An accepted attempt."""
 
     shot: int
     number: int
@@ -63,7 +64,7 @@ class PhotoProof:
         self._context = context
         self._shooter = shooter
         self._verdicts = verdicts
-        self._doubtful: deque[_Accepted] = deque(maxlen=_REMEMBERED)
+        self._recent: deque[_Accepted] = deque(maxlen=_REMEMBERED)
         self._dates = False  # whether the camera has dated a photo
 
     @property
@@ -108,42 +109,56 @@ class PhotoProof:
             self._verdicts.reject(shot, number, code, why, proven)
         elif level < self._required:
             self._verdicts.reject(shot, number, "evidence", _unreported(level), proven)
+        elif others := self._claims(proven):
+            self._verdicts.reject(shot, number, "evidence", _TWICE, proven)
+            for other in others:
+                self._revoke(other, "evidence", _TWICE)
         elif by == "overlap" and not await overlaps_hold(self._context, shot, verdict.measured):
             reason = f"{verdict.reason}, and the overlaps are too small with this pose"
             self._verdicts.reject(shot, number, verdict.code, reason, proven)
         else:
             self._verdicts.accept(shot, number, proven, by=by)
-            self._doubtful.append(_Accepted(shot=shot, number=number, photos=tuple(proven), exposure=exposure))
+            self._recent.append(_Accepted(shot=shot, number=number, photos=tuple(proven), exposure=exposure))
         await self.review()
 
     async def review(self) -> None:
         """Judge accepted photos again by what became known of them since; returns without waiting for more."""
-        for one in tuple(self._doubtful):
+        for one in tuple(self._recent):
             level = EvidenceLevel.COMMANDED
             better = await evidence.gather(one.photos, one.exposure.captures, at_least=level, timeout_s=0.0)
-            if one not in self._doubtful:
+            if one not in self._recent:
                 continue  # another review was faster
-            if better != one.photos:
+            if any(map(_tells_more, better, one.photos)):
                 one.photos = better
                 self._context.recorder.emit(ev.PhotoIdentified(shot=one.shot, attempt=one.number, photos=better))
             code, why = await self._problem(one.shot, one.exposure)
-            if one not in self._doubtful:
+            if one not in self._recent:
                 continue
             reported = evidence.weakest(one.photos)
+            if not code and len(claims := self._claims(one.photos)) > 1:
+                for other in claims:
+                    self._revoke(other, "evidence", _TWICE)
+                continue
             if not code and reported < self._context.record.reported_level and self._is_overdue(one):
                 code, why = "evidence", _unreported(reported)
             if code:
-                self._doubtful.remove(one)
-                self._verdicts.revoke(one.shot, one.number, code, why, one.photos)
-            elif reported >= EvidenceLevel.CAPTURE_MESSAGE and self._dates:
-                self._doubtful.remove(one)
+                self._revoke(one, code, why)
+
+    def _revoke(self, one: _Accepted, code: str, why: str) -> None:
+        self._recent.remove(one)
+        self._verdicts.revoke(one.shot, one.number, code, why, one.photos)
+
+    def _claims(self, photos: Sequence[ev.Photo]) -> list[_Accepted]:
+        """The accepted attempts that claim one of these photos, by its file."""
+        files = {photo.file for photo in photos} - {""}
+        return [one for one in self._recent if files & {photo.file for photo in one.photos}]
 
     async def last_look(self) -> None:
         """Review the accepted photos before the end; waits for a camera whose first report may be on its way."""
         clock = self._context.clock
         until_s = clock.monotonic() + _LAST_LOOK_S
         await self.review()
-        while clock.monotonic() < until_s and any(map(self._may_be_reported, self._doubtful)):
+        while clock.monotonic() < until_s and any(map(self._may_be_reported, self._recent)):
             await clock.sleep(_LOOK_EVERY_S)
             await self.review()
 
@@ -161,7 +176,7 @@ class PhotoProof:
 
     async def follow_up(self, shot: int, number: int) -> None:
         """Await a report of an attempt that was accepted without one and judge it again; nothing waits for this."""
-        one = next((one for one in self._doubtful if (one.shot, one.number) == (shot, number)), None)
+        one = next((one for one in self._recent if (one.shot, one.number) == (shot, number)), None)
         if one is not None:
             level, timeout_s = EvidenceLevel.CAPTURE_MESSAGE, self._context.settings.evidence_s
             await evidence.gather(one.photos, one.exposure.captures, at_least=level, timeout_s=timeout_s)
@@ -205,6 +220,11 @@ class PhotoProof:
             if text := self._shooter.lag.note(one, capture.commanded_s):
                 self._context.recorder.emit(ev.Warned(code="latency", text=text))
         return found
+
+
+def _tells_more(new: ev.Photo, old: ev.Photo) -> bool:
+    named = (new.file and not old.file) or (new.image_index >= 0 > old.image_index)
+    return new.evidence > old.evidence or bool(named)
 
 
 def _unreported(level: EvidenceLevel) -> str:

@@ -32,10 +32,15 @@ PAUSE_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
         "gimbal_lost": "gimbal control lost, acquiring",
         "pilot": "pilot has control, gimbal released",
         "turning": "cannot turn in this flight mode",
+        "turn_refused": "vehicle refuses each turn",
         "landed": "not in the air, gimbal released",
         "battery": "battery low: land, swap, resume",
         "position": "drifted, return to start position",
         "storage": "camera storage is full",
+        "camera": "camera refuses each photo",
+        "photos": "no proof of any photo",
+        "gimbal": "gimbal refuses each pose",
+        "offset": "gimbal off its target each time",
         "command": "by command",
     }
 )

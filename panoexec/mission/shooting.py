@@ -10,15 +10,21 @@ import structlog
 
 from panoexec.mission import evidence
 from panoexec.mission.attempt import Shooter
-from panoexec.mission.attempt_result import Exposure, NotSettled, Settled
+from panoexec.mission.attempt_result import Exposure, NotSettled, Offset, Settled
 from panoexec.mission.context import MissionContext
 from panoexec.mission.guard_monitor import GuardMonitor
+from panoexec.mission.guards import Finding
 from panoexec.mission.log import events as ev
+from panoexec.mission.log.record import ShotStatus
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.photo_proof import PhotoProof
 from panoexec.mission.pointing.tolerance_gate import WindowVerdict
+from panoexec.mission.preflight import gimbal_limits
 from panoexec.mission.shot_queue import Decision, Task
+from panoexec.mission.systematic_failure import SystematicFailure
 from panoexec.mission.waiting import until
+
+_log = structlog.get_logger(__name__)
 
 
 class Shooting:
@@ -45,6 +51,10 @@ class Shooting:
             heading_controller=context.heading_controller,
         )
         self._proof = PhotoProof(context, self.shooter, self)
+        pans = gimbal_limits(context.gimbal, context.settings).pans
+        self._failures = SystematicFailure(
+            context.settings.tolerance, vehicle_pans=context.heading_controller is not None and not pans
+        )
 
     async def run(self) -> None:
         """Take the remaining shots, if any; afterwards the mission is capturing or paused if a shot was taken."""
@@ -113,7 +123,7 @@ class Shooting:
         else:
             exposure = result
         if isinstance(exposure, NotSettled):
-            self.reject(shot.index, number, exposure.code, exposure.reason, ())
+            self.reject(shot.index, number, exposure.code, exposure.reason, (), offset=exposure.offset)
             return
         assert isinstance(result, Settled)
         self._exposed(shot.index, number, result, exposure)
@@ -150,7 +160,7 @@ class Shooting:
             self._group.create_task(proof, name=f"evidence of {shot}")
             return
         code = "trigger" if exposure.failure else verdict.code
-        self.reject(shot, number, code, exposure.failure or verdict.reason, photos)
+        self.reject(shot, number, code, exposure.failure or verdict.reason, photos, offset=_offset_of(verdict))
         self._group.create_task(self._proof.identify(shot, number, photos, exposure.captures), name=f"photo of {shot}")
 
     def _may_overlap(self, verdict: WindowVerdict) -> bool:
@@ -170,6 +180,7 @@ class Shooting:
 
     def accept(self, shot: int, number: int, photos: Sequence[ev.Photo], *, by: str) -> None:
         """See `Verdicts.accept`."""
+        self._failures.reset()
         self._keep(ev.ShotAccepted(shot=shot, attempt=number, photos=tuple(photos), by=by))
         self._context.requests.skips.discard(shot)
         self._context.eta.accepted(self._context.clock.monotonic())
@@ -181,12 +192,36 @@ class Shooting:
         if not self._skipped(shot, number):
             self._context.queue.put_back(shot)
 
-    def reject(self, shot: int, number: int, code: str, reason: str, photos: Sequence[ev.Photo]) -> None:
-        """See `Verdicts.reject`."""
+    def reject(
+        self,
+        shot: int,
+        number: int,
+        code: str,
+        reason: str,
+        photos: Sequence[ev.Photo],
+        *,
+        offset: Offset | None = None,
+    ) -> None:
+        """See `Verdicts.reject`; with its pointing error, if known. Holds the mission if several shots fail alike."""
         self._keep(ev.ShotRejected(shot=shot, attempt=number, code=code, reason=reason, photos=tuple(photos)))
         if self._skipped(shot, number):
             return
         self._again(shot, number, reason)
+        failure = self._failures.rejected(
+            self._context.record.shots[shot].shot, code=code, reason=reason, offset=offset
+        )
+        if failure is not None:
+            self._hold_for(failure)
+
+    def _hold_for(self, failure: Finding) -> None:
+        """Pause for a systematic failure; its shots get all their attempts back and are first after a `resume`."""
+        for shot in reversed(self._failures.shots):
+            record = self._context.record.shots[shot]
+            if record.accepted is None and record.open_attempt is None and record.status is not ShotStatus.SKIPPED:
+                self._context.queue.restore(shot)
+        self._failures.reset()
+        _log.warning("systematic failure", code=failure.code, reason=failure.reason)
+        self._context.requests.hold(failure)
 
     def revoke(self, shot: int, number: int, code: str, reason: str, photos: Sequence[ev.Photo]) -> None:
         """See `Verdicts.revoke`; the shot is taken again unless an earlier photo of it counts."""
@@ -228,3 +263,10 @@ class Shooting:
             self._proven.clear()
             return self._proven
         return None
+
+
+def _offset_of(verdict: WindowVerdict) -> Offset | None:
+    errors = verdict.errors
+    if errors is None:
+        return None
+    return Offset(pitch_deg=errors.pitch_deg, roll_deg=errors.roll_deg, yaw_deg=errors.yaw_deg)

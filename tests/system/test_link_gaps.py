@@ -47,7 +47,7 @@ def _gaps(seed: int) -> tuple[tuple[float, float], ...]:
 
 
 def _options(storage: Path, spans: tuple[tuple[float, float], ...], *, seed: int) -> DryRunOptions:
-    count = 24
+    count = 32
     shots = tuple(Shot(index=i, row=0, pitch_deg=-25.0, yaw_deg=-180.0 + 360.0 * i / count) for i in range(count))
     plan = Plan(
         method="certified",
