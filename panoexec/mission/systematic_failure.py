@@ -18,8 +18,8 @@ from panoexec.planning.model import Shot, Tolerance
 
 SHOTS: Final = 3
 """How many different shots in a row must fail alike."""
-ATTEMPTS: Final = 6
-"""How many attempts in a row must fail alike: a fifth of random refusals would do so once in 15 000 attempts."""
+ATTEMPTS: Final = 8
+"""How many attempts in a row must fail alike: where one of five is refused at random, that is once in 390 000."""
 SPREAD_FRAC: Final = 0.25
 """How far offsets may differ, as a fraction of their size, or by τ if that is more."""
 APART_DEG: Final = 10.0
@@ -36,6 +36,8 @@ _ADVICE: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
     }
 )
 """For each code of a rejected attempt that may be systematic: code of the hold, and what to do."""
+HOLD_CODES: Final = frozenset({"offset", *(hold for hold, _ in _ADVICE.values())})
+"""Codes of the holds."""
 _OFFSET_ADVICE: Final = "calibrate the gimbal or its compass, or widen [pointing] tolerance_*_deg"
 
 
