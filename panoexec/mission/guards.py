@@ -237,6 +237,22 @@ class PositionGuard:
 
 
 @dataclass(frozen=True, slots=True)
+class FixGuard:
+    """GNSS or the estimator lost the position: the vehicle drifts, and its failsafe follows seconds later.
+
+    Only where the mission had a position: a vehicle on a bench or indoors may never have one.
+    """
+
+    def check(self, situation: Situation) -> Finding | None:
+        """See `Guard.check`."""
+        doubts = situation.vehicle.position_doubts
+        if not doubts or not situation.vehicle.connected or math.isnan(situation.origin[0]):
+            return None
+        reason = f"the position is not reliable: {', '.join(doubts)}; waiting for it"
+        return Finding(code="fix", reason=reason, automatic=True)
+
+
+@dataclass(frozen=True, slots=True)
 class StorageGuard:
     """The camera's storage is full."""
 
@@ -264,7 +280,7 @@ def flight_guards(settings: MissionSettings) -> tuple[Guard, ...]:
     if guard.battery_floor_frac > 0:
         guards.append(BatteryGuard(guard.battery_floor_frac))
     if math.isfinite(guard.position_drift_m):
-        guards.append(PositionGuard(guard.position_drift_m, guard.position_back_frac))
+        guards += [FixGuard(), PositionGuard(guard.position_drift_m, guard.position_back_frac)]
     return tuple(guards)
 
 

@@ -35,6 +35,7 @@ PAUSE_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
         "turn_refused": "vehicle refuses each turn",
         "landed": "not in the air, gimbal released",
         "battery": "battery low: land, swap, resume",
+        "fix": "GPS position lost, waiting",
         "position": "drifted, return to start position",
         "storage": "camera storage is full",
         "camera": "camera refuses each photo",

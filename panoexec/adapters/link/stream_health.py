@@ -6,6 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+EKF_STATUS_REPORT: Final = 193
+ESTIMATOR_STATUS: Final = 230
+ARDUPILOT: Final = 3
+PX4: Final = 12
+"""MAV_AUTOPILOT, as in HEARTBEAT.autopilot."""
+
 HEARTBEAT_LOST_S: Final = 3.0
 """Heartbeat timeout of the autopilot."""
 
@@ -13,8 +19,6 @@ _SILENT_S: Final = 1.0
 _MAX_RETRY_S: Final = 10.0
 _REFUSED_RETRY_S: Final = 30.0
 _BOOT_BACK_S: Final = 1.0
-_BOOT_AHEAD_S: Final = 10.0
-"""A message this far ahead of those before it is believed when the next one agrees with it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,12 +30,14 @@ class Stream:
         name: MAVLink message name.
         rate_hz: rate while a mission runs.
         idle_rate_hz: rate otherwise, sufficient to monitor the sender.
+        autopilot: the only MAV_AUTOPILOT that is asked for it, because others do not have it; None: every one.
     """
 
     message_id: int
     name: str
     rate_hz: float
     idle_rate_hz: float
+    autopilot: int | None = None
 
 
 DEFAULT_STREAMS: Final = (
@@ -41,9 +47,10 @@ DEFAULT_STREAMS: Final = (
     Stream(message_id=33, name="GLOBAL_POSITION_INT", rate_hz=5.0, idle_rate_hz=2.0),
     Stream(message_id=1, name="SYS_STATUS", rate_hz=1.0, idle_rate_hz=1.0),
     Stream(message_id=245, name="EXTENDED_SYS_STATE", rate_hz=1.0, idle_rate_hz=1.0),
-    # ArduPilot sends the first of these two, PX4 the second
-    Stream(message_id=193, name="EKF_STATUS_REPORT", rate_hz=1.0, idle_rate_hz=0.5),
-    Stream(message_id=230, name="ESTIMATOR_STATUS", rate_hz=1.0, idle_rate_hz=0.5),
+    Stream(message_id=24, name="GPS_RAW_INT", rate_hz=5.0, idle_rate_hz=0.5),
+    # ArduPilot announces each request for a message that it does not have on the pilot's screen
+    Stream(message_id=EKF_STATUS_REPORT, name="EKF_STATUS_REPORT", rate_hz=2.0, idle_rate_hz=0.5, autopilot=ARDUPILOT),
+    Stream(message_id=ESTIMATOR_STATUS, name="ESTIMATOR_STATUS", rate_hz=2.0, idle_rate_hz=0.5, autopilot=PX4),
 )
 
 
@@ -55,7 +62,6 @@ class RebootDetector:
         """How many were detected."""
         self._newest_s = -math.inf
         self._heard_s = math.inf
-        self._ahead_s = math.inf
 
     def note(self, boot_s: float, heard_s: float) -> bool:
         """Take the time since boot of a message; True if the autopilot rebooted since the last message.
@@ -63,8 +69,6 @@ class RebootDetector:
         Two signs: the time runs backwards by more than messages overtake each other, or the autopilot has been up for
         no longer than it was silent. The second one finds the reboot of an autopilot that had only just started: it
         forgets its message intervals, and when it is heard again it is already up for longer than before.
-
-        A single message from the future is dropped: the ones after it would look like a reboot.
 
         Args:
             boot_s: time since boot, seconds.
@@ -75,14 +79,7 @@ class RebootDetector:
         rebooted = boot_s < self._newest_s - _BOOT_BACK_S or boot_s <= silent_s
         if rebooted:
             self.reboots += 1
-            self._newest_s, self._ahead_s = boot_s, math.inf
-        elif math.isfinite(self._newest_s) and boot_s > self._newest_s + _BOOT_AHEAD_S:
-            if self._ahead_s - _BOOT_BACK_S <= boot_s <= self._ahead_s + _BOOT_AHEAD_S:
-                self._newest_s, self._ahead_s = boot_s, math.inf
-            else:
-                self._ahead_s = boot_s
-        else:
-            self._newest_s, self._ahead_s = max(self._newest_s, boot_s), math.inf
+        self._newest_s = boot_s if rebooted else max(self._newest_s, boot_s)
         return rebooted
 
 

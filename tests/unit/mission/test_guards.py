@@ -12,6 +12,7 @@ from panoexec.mission.guards import (
     AttitudeGuard,
     BatteryGuard,
     ControlGuard,
+    FixGuard,
     GimbalControl,
     Guard,
     LandedGuard,
@@ -69,6 +70,7 @@ def _vehicle(**changes: object) -> Situation:
         (MODES, _vehicle(mode="STABILIZED"), "pilot", "mode STABILIZED; allowed: HOLD, OFFBOARD", False, True),
         (LandedGuard(), _vehicle(in_air=False), "landed", "not in the air", False, True),
         (BatteryGuard(0.25), _vehicle(battery_frac=0.2), "battery", "battery at 20 %, floor 25 %", False, True),
+        (FixGuard(), _vehicle(position_doubts=("no 3D fix", "x")), "fix", "not reliable: no 3D fix, x", True, False),
         (StorageGuard(1), replace(WELL, storage_free_images=0.0), "storage", "storage is full", True, False),
     ],
 )
@@ -92,6 +94,8 @@ def test_what_is_wrong_is_said(
         (MODES, _vehicle(mode="STABILIZED", connected=False)),
         (LandedGuard(), _vehicle(in_air=False, connected=False)),
         (BatteryGuard(0.25), _vehicle(battery_frac=NAN)),
+        (FixGuard(), _vehicle(position_doubts=("no 3D fix",), connected=False)),
+        (FixGuard(), replace(_vehicle(position_doubts=("no 3D fix",)), origin=(NAN, NAN, NAN))),
         (PositionGuard(3.0, 0.7), _vehicle(latitude_deg=NAN)),
         (PositionGuard(3.0, 0.7), replace(WELL, origin=(NAN, NAN, NAN))),
         (StorageGuard(3), replace(WELL, storage_free_images=math.inf)),
@@ -132,6 +136,7 @@ def test_settings_choose_the_guards() -> None:
         ModeGuard,
         LandedGuard,
         BatteryGuard,
+        FixGuard,
         PositionGuard,
     }
     off = GuardSettings(battery_floor_frac=0.0, position_drift_m=math.inf, allowed_modes=(), position_hold=False)
