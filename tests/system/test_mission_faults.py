@@ -141,7 +141,7 @@ async def test_a_dry_run_as_the_command_line_flies_it_stops_shooting_in_another_
         position_hold=True,  # a dry-run flies
         reclaim="ask",  # nobody could resume it
     )
-    summary, events = await _fly(options)
+    summary, events = await _fly(replace(options, settings=replace(options.settings, max_pause_s=10.0)))
     assert summary.state == "failed"
     assert "the pilot has taken over" in summary.reason
     released = next(event for event in events if event.type == "gimbal_released")
