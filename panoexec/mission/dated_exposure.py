@@ -51,6 +51,11 @@ class ShutterLag:
 
     def note(self, found: CaptureEvidence, commanded_s: float) -> str:
         """Add the date of a photo; returns a warning for the operator, "" if there is none."""
+        if is_undatable(found):
+            report_s = found.reported_s - commanded_s  # the shutter opened before the report: wait for that long
+            if 0 <= report_s <= _MAX_LAG_S:
+                self._measured_s.append(report_s)
+            return ""
         if not is_dated(found) or found.level < EvidenceLevel.FEEDBACK_PIN:
             return ""
         lag_s = found.exposed_s - commanded_s
@@ -70,6 +75,20 @@ class ShutterLag:
 def is_dated(found: CaptureEvidence) -> bool:
     """Whether a photo is dated well enough to learn from its date."""
     return math.isfinite(found.exposed_s) and found.exposed_error_s <= MAX_DATE_ERROR_S
+
+
+def is_undatable(found: CaptureEvidence) -> bool:
+    """Whether a camera stamped its report with a time that cannot be related to the mission's clock well enough.
+
+    The camera's clock was stepped, or nothing related the two clocks.
+    """
+    stamped = found.level >= EvidenceLevel.CAPTURE_MESSAGE and math.isfinite(found.exposed_vehicle_s)
+    return stamped and not is_dated(found)
+
+
+def is_before(found: CaptureEvidence, commanded_s: float) -> bool:
+    """Whether a photo is dated before its trigger, so that it cannot be the one that was requested."""
+    return is_dated(found) and found.exposed_s + found.exposed_error_s < commanded_s
 
 
 def has_window(found: CaptureEvidence) -> bool:

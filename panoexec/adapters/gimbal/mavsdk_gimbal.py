@@ -87,7 +87,7 @@ class MavsdkGimbal:
         self._north = NorthTrim(self._known)
         self._found: GimbalFound | None = None
         self._limits: dict[tuple[int, int], GimbalLimits | None] = {}
-        self._control: dict[int, ControlStatus] = {}
+        self._control: dict[int, tuple[int, int]] = {}
         self._status_came = asyncio.Event()
         self._listed = asyncio.Event()
         self._list: list[GimbalItem] = []
@@ -128,9 +128,11 @@ class MavsdkGimbal:
 
     @property
     def controlled_by(self) -> tuple[int, int] | None:
-        """MAVLink system and component in primary control, (0, 0) for none; None before the first status."""
-        status = None if self._found is None else self._control.get(self._found.gimbal_id)
-        return None if status is None else (status.sysid_primary_control, status.compid_primary_control)
+        """MAVLink system and component in primary control, (0, 0) for none.
+
+        None before the first status, and after a reboot or a link gap until the next one.
+        """
+        return None if self._found is None else self._control.get(self._found.gimbal_id)
 
     @property
     def found(self) -> GimbalFound | None:
@@ -160,7 +162,11 @@ class MavsdkGimbal:
 
     async def __aenter__(self) -> Self:
         """Subscribe to messages."""
-        self._off = [*self._reports.subscribe(), self._link.on("GIMBAL_MANAGER_INFORMATION", self._information)]
+        self._off = [
+            *self._reports.subscribe(),
+            self._link.on("GIMBAL_MANAGER_INFORMATION", self._information),
+            self._link.on("GIMBAL_MANAGER_STATUS", self._manager_status),
+        ]
         self._off.append(self._link.when_attached(self._attach))
         self._off.append(self._link.when_back(self._came_back))
         return self
@@ -261,6 +267,13 @@ class MavsdkGimbal:
         """Ask the gimbal itself for its attitude at full rate if it is sent at a lower one; needs a pinned source."""
         await self._rate.ask()
 
+    async def ask_control(self) -> None:
+        """See `AnswersControl.ask_control`."""
+        if self._found is not None:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_TAKE_S):
+                    await self._ask_status(self._found.manager_component)
+
     async def point(self, pitch_deg: float, yaw_deg: float | None) -> None:
         """See `Gimbal.point`."""
         if not (math.isfinite(pitch_deg) and (yaw_deg is None or math.isfinite(yaw_deg))):
@@ -310,7 +323,19 @@ class MavsdkGimbal:
             self._link.post(self._listed.set)
 
     def _control_status(self, status: ControlStatus, _user_data: object) -> None:
-        self._control[status.gimbal_id] = status
+        self._take_control_status(status.gimbal_id, (status.sysid_primary_control, status.compid_primary_control))
+
+    def _manager_status(self, message: MavMessage) -> None:
+        """GIMBAL_MANAGER_STATUS (281), each one: MAVSDK does not report a status again that did not change."""
+        found, fields = self._found, message.fields
+        device = int(fields["gimbal_device_id"])
+        if found is None or message.component_id != found.manager_component or device not in (0, found.device_id):
+            return
+        holder = int(fields["primary_control_sysid"]), int(fields["primary_control_compid"])
+        self._take_control_status(found.gimbal_id, holder)
+
+    def _take_control_status(self, gimbal_id: int, holder: tuple[int, int]) -> None:
+        self._control[gimbal_id] = holder
         self._link.post(self._status_came.set)
 
     # --- on the loop

@@ -333,7 +333,8 @@ class ShotRejected(ShotEvent):
     """The attempt is rejected.
 
     Attributes:
-        code: `not_settled`, `pointing`, `no_samples`, `trigger`, `evidence`, `gimbal`, `vehicle`, `echo`, `crash`.
+        code: `not_settled`, `pointing`, `no_samples`, `trigger`, `evidence`, `late_exposure`, `gimbal`, `vehicle`,
+            `crash`.
         reason: for the pilot, with figures.
     """
 
@@ -344,15 +345,18 @@ class ShotRejected(ShotEvent):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotRevoked(ShotEvent):
-    """An accepted attempt does not count any more, because of what became known later; its shot is missing again.
+    """An accepted attempt is rejected after all: what became known of its photos later contradicts it.
 
     Attributes:
-        code: `echo`: the gimbal's reports repeat the command, so the pose was never verified.
-        reason: for the pilot.
+        code: `evidence` or `late_exposure`, as for a rejected attempt; `echo`: the gimbal's reports repeat the command,
+            so the pose was never verified.
+        reason: for the pilot, with figures.
+        photos: with the evidence that was decisive.
     """
 
     code: str
     reason: str
+    photos: tuple[Photo, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,6 +26,8 @@ ISSUE_NAMES = {
     "capture-twice",
     "storage-full",
     "battery-low",
+    "gps-lost",
+    "rtl",
     "gust",
     "clock-jump",
 }
