@@ -262,6 +262,7 @@ class VehicleStatus:
         latitude_deg, longitude_deg, altitude_m, relative_altitude_m: position.
         battery_frac: 0 to 1.
         position_ok: whether the estimator reports a valid global position.
+        position_doubts: why the position is not to be trusted now, for the pilot; empty if nothing is reported.
         boot_count: number of reboots detected since the adapter started.
         unhealthy: names of the attitude and height sensors in use that are reported as unhealthy.
     """
@@ -277,6 +278,7 @@ class VehicleStatus:
     relative_altitude_m: float = float("nan")
     battery_frac: float = float("nan")
     position_ok: bool = False
+    position_doubts: tuple[str, ...] = ()
     boot_count: int = 0
     unhealthy: tuple[str, ...] = ()
 

@@ -15,15 +15,15 @@ from mavsdk.plugins.telemetry import FlightMode, Telemetry
 from panoexec.adapters.link.mavsdk_errors import MAV_RESULTS
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.message_hub import MavMessage
+from panoexec.adapters.link.stream_health import EKF_STATUS_REPORT, ESTIMATOR_STATUS
 from panoexec.adapters.link.stream_keeper import AUTOPILOT
+from panoexec.adapters.position_health import PositionHealth
 from panoexec.devices import Severity, VehicleStatus
 from panoexec.errors import DeviceError
 
 CONDITION_YAW: Final = 115
 _SAFETY_ARMED: Final = 128
 _GPS: Final = 0x20
-_POSITION_ABSOLUTE: Final = 16
-_CONSTANT_POSITION: Final = 128
 _IN_AIR: Final = frozenset({2, 3, 4})
 """MAV_LANDED_STATE: in air, taking off, landing."""
 
@@ -50,7 +50,7 @@ class MavsdkVehicle:
         self._position = (math.nan,) * 5
         self._position_s = -math.inf
         self._gps_ok = False
-        self._estimator_ok: bool | None = None
+        self._health = PositionHealth()
         self._unhealthy: tuple[str, ...] = ()
         self._hold_position: tuple[float, float, float] | None = None
 
@@ -59,7 +59,7 @@ class MavsdkVehicle:
         """See `Vehicle.status`."""
         latitude_deg, longitude_deg, altitude_m, relative_altitude_m, heading_deg = self._position
         fresh = time.monotonic() - self._position_s < _POSITION_STALE_S
-        trusted = self._gps_ok if self._estimator_ok is None else self._estimator_ok
+        trusted = self._gps_ok if self._health.estimator_ok is None else self._health.estimator_ok
         return VehicleStatus(
             connected=self._link.connected,
             armed=self._armed,
@@ -72,6 +72,7 @@ class MavsdkVehicle:
             relative_altitude_m=relative_altitude_m,
             battery_frac=self._battery_frac,
             position_ok=trusted and fresh,
+            position_doubts=self._health.doubts,
             boot_count=self._link.boot_count,
             unhealthy=self._unhealthy,
         )
@@ -116,8 +117,9 @@ class MavsdkVehicle:
             on("GLOBAL_POSITION_INT", self._global_position),
             on("SYS_STATUS", self._sys_status),
             on("EXTENDED_SYS_STATE", self._extended_sys_state),
-            on("EKF_STATUS_REPORT", self._estimator),
-            on("ESTIMATOR_STATUS", self._estimator),
+            on("GPS_RAW_INT", self._receiver),
+            on("EKF_STATUS_REPORT", partial(self._estimator, EKF_STATUS_REPORT)),
+            on("ESTIMATOR_STATUS", partial(self._estimator, ESTIMATOR_STATUS)),
             self._link.when_attached(self._attach),
             self._link.when_back(self._came_back),
         ]
@@ -167,10 +169,13 @@ class MavsdkVehicle:
         if message.component_id == AUTOPILOT:
             self._in_air = int(message.fields["landed_state"]) in _IN_AIR
 
-    def _estimator(self, message: MavMessage) -> None:
+    def _receiver(self, message: MavMessage) -> None:
         if message.component_id == AUTOPILOT:
-            flags = int(message.fields["flags"])
-            self._estimator_ok = bool(flags & _POSITION_ABSOLUTE) and not flags & _CONSTANT_POSITION
+            self._health.receiver(message.fields)
+
+    def _estimator(self, message_id: int, message: MavMessage) -> None:
+        if message.component_id == AUTOPILOT:
+            self._health.estimator(int(message.fields["flags"]), message_id=message_id)
 
     def _flight_mode(self, mode: FlightMode, _user_data: object) -> None:
         if mode.name != self._mode:
@@ -186,7 +191,7 @@ class MavsdkVehicle:
 
     def _came_back(self) -> None:
         """Reset the status that may have changed with a reboot."""
-        self._estimator_ok = None
+        self._health.forget()
         self._gps_ok = False
         self._unhealthy = ()
         self._position_s = -math.inf

@@ -35,9 +35,11 @@ from panoexec.cli.planning_options import (
 from panoexec.dryrun.autopilot import sitl_binary
 from panoexec.dryrun.run import DryRunOptions, DryRunSummary, resume_dry_run, run_dry_run
 from panoexec.errors import DependencyError, UsageError, to_install
+from panoexec.inputs.config import GimbalSection, GuardsSection
 from panoexec.inputs.plan_file import read_plan_file
 from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.logs import configure_logs
+from panoexec.mission.configured_guards import guard_settings
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.settings import MissionSettings
 from panoexec.planning.model import GimbalLimits
@@ -47,6 +49,10 @@ from panoexec.sim.photos.scene import load_scene
 
 _MAX_PAUSE_S = 60.0
 """A dry-run that is paused for longer ends, because no operator sends `resume` (it can be resumed later)."""
+_GUARDS = GuardsSection(require_in_air=True)
+"""The daemon's guards; and the vehicle must fly (`settings_on` excepts one on a bench)."""
+_GIMBAL = GimbalSection(when_taken="reclaim")
+"""No operator can resume a dry-run whose gimbal another station took."""
 _NOSE_RATE_DEG_S = 5.0
 """Rate limit while settling where the vehicle pans: the camera is only as steady as the vehicle's heading."""
 _NOSE_PATIENCE_S = 10.0
@@ -156,6 +162,7 @@ def _options(args: argparse.Namespace) -> DryRunOptions:
         interval_s=spec.timing.interval_s,
         accept=args.accept,
         max_pause_s=_MAX_PAUSE_S,
+        guards=guard_settings(_GUARDS, _GIMBAL),
         gimbal=plan.constraints.gimbal or GimbalLimits(),
     )
     if args.yaw == "vehicle":

@@ -107,6 +107,8 @@ class MissionView:
                 self._line(f"shot {event.shot}, attempt {event.attempt}: accepted")
             case ev.ShotDeferred():
                 self._line(f"shot {event.shot}: deferred until after the other shots: {event.reason}")
+            case ev.ShotRevoked():
+                self._line(f"shot {event.shot}, attempt {event.attempt}: no longer accepted: {event.reason}")
             case ev.ShotMissed():
                 self._line(f"shot {event.shot}: given up: {event.reason}")
             case ev.MissionPaused():

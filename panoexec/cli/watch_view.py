@@ -42,6 +42,7 @@ _VERDICTS: Final = {
     "shot_accepted": "accepted",
     "shot_rejected": "rejected",
     "shot_interrupted": "interrupted",
+    "shot_revoked": "rejected",
     "shot_missed": "missed",
     "shot_retaken": "again",
     "shot_skipped": "skipped",
@@ -159,7 +160,7 @@ class Watched:
             one.pose = f"{_angle(event.get('pitch_deg'))} {_angle(event.get('yaw_deg'))}"
         elif kind == "shot_exposed" and isinstance(errors := event.get("errors"), dict):
             one.error = " ".join(_angle(errors.get(f"{axis}_deg"), digits=2) for axis in ("pitch", "roll", "yaw"))
-        if kind in ("shot_rejected", "shot_interrupted", "shot_missed", "shot_skipped"):
+        if kind in ("shot_rejected", "shot_revoked", "shot_interrupted", "shot_missed", "shot_skipped"):
             one.reason = str(event.get("reason") or "")
 
 

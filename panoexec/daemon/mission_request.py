@@ -14,7 +14,8 @@ from panoexec.inputs.config import Config
 from panoexec.inputs.plan_file import plan_from_data
 from panoexec.inputs.plan_options import configured_spec
 from panoexec.inputs.plan_spec import PlanSpec
-from panoexec.mission.settings import GuardSettings, MissionSettings
+from panoexec.mission.configured_guards import guard_settings
+from panoexec.mission.settings import MissionSettings
 from panoexec.mqtt.credentials import credential_problems
 from panoexec.mqtt.requests import PlanRequest, RefusedRequestError
 from panoexec.planning.model import GimbalLimits
@@ -71,7 +72,7 @@ def settings_of(config: Config, spec: PlanSpec) -> MissionSettings:
     Raises:
         UsageError: no mission could be flown so.
     """
-    pointing, camera, guards = config.pointing, config.camera, config.guards
+    pointing, camera = config.pointing, config.camera
     return MissionSettings(
         tolerance=spec.constraints.tolerance,
         settle_s=pointing.settle_s,
@@ -86,15 +87,7 @@ def settings_of(config: Config, spec: PlanSpec) -> MissionSettings:
         accept=pointing.accept,
         feedback="none" if config.gimbal.feedback == "none" else "auto",
         gimbal=spec.constraints.gimbal or GimbalLimits(),
-        guards=GuardSettings(
-            battery_floor_frac=guards.battery_floor_frac,
-            hover_s=60 * guards.hover_min,
-            position_drift_m=guards.position_drift_m,
-            allowed_modes=guards.allowed_modes,
-            attitude_silence_s=guards.attitude_silence_s,
-            position_hold=guards.require_in_air,
-            reclaim="ask" if config.gimbal.when_taken == "reclaim" else "never",
-        ),
+        guards=guard_settings(config.guards, config.gimbal),
     )
 
 

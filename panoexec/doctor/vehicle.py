@@ -38,6 +38,7 @@ _WITHOUT: Final = {
     "ATTITUDE": "the gimbal's yaw cannot be converted to north",
     "GIMBAL_MANAGER_STATUS": "a loss of gimbal control goes undetected",
     "GLOBAL_POSITION_INT": "the position guard and the heading have no data",
+    "GPS_RAW_INT": "a lost GPS fix is found only by the estimator's flags",
     "SYS_STATUS": "the battery guard has no data",
     "EXTENDED_SYS_STATE": "the landed state is unknown",
 }

@@ -105,4 +105,5 @@ def settings_on(rig: Rig, devices: Devices, settings: MissionSettings, note: Cal
     if not rig.may_stand or devices.vehicle.status.in_air:
         return settings
     note("the vehicle is on the ground and stays there: flight guards are disabled")
-    return replace(settings, guards=replace(settings.guards, position_hold=False, position_drift_m=math.inf))
+    guards = replace(settings.guards, position_hold=False, position_drift_m=math.inf, allowed_modes=())
+    return replace(settings, guards=guards)

@@ -13,7 +13,7 @@ from panoexec.angles import yaw_pitch_roll
 from panoexec.clock import Clock
 from panoexec.devices import Camera, CaptureEvidence, EvidenceLevel, Gimbal, PendingCapture
 from panoexec.errors import DeviceError
-from panoexec.mission.attempt_result import Exposure, NotSettled, Settled
+from panoexec.mission.attempt_result import Exposure, NotSettled, Offset, Settled
 from panoexec.mission.dated_exposure import ShutterLag, has_window, window
 from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.pointing.poses import PoseReader, read_pose, to_north
@@ -26,6 +26,7 @@ from panoexec.planning.model import Shot
 from panoexec.planning.order.duration import slew_time_s
 
 T = TypeVar("T")
+_OFFSET_AXES = ("pitch_deg", "roll_deg", "yaw_deg")
 
 TRIGGER_TIMEOUT_S = 10.0
 """Longest wait for a trigger call; an adapter answers or times out long before."""
@@ -130,7 +131,9 @@ class Shooter:
             why = "the gimbal's attitude stream is silent"
         elif not why:
             why = "inside tolerance, but not for the whole settle time"
-        return NotSettled(code="not_settled", reason=f"not settled after {bound_s:.1f} s: {why}")
+        off = tracker.error
+        offset = None if off is None else Offset(**{axis: float(getattr(off, axis)) for axis in _OFFSET_AXES})
+        return NotSettled(code="not_settled", reason=f"not settled after {bound_s:.1f} s: {why}", offset=offset)
 
     async def expose(self, shot: Shot, settled: Settled, *, interrupt: asyncio.Event) -> Exposure | NotSettled:
         """Trigger and judge; returns when the exposure has ended. Cancel it only for an immediate stop.

@@ -9,11 +9,27 @@ from panoexec.mission.pointing.tolerance_gate import WindowVerdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Offset:
+    """By how much a pose missed its target, about the gimbal's axes, signed."""
+
+    pitch_deg: float
+    roll_deg: float
+    yaw_deg: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NotSettled:
-    """The attempt ends before its photo."""
+    """The attempt ends before its photo.
+
+    Attributes:
+        code: as of a rejected attempt.
+        reason: for the pilot.
+        offset: the pointing error at the end; None if it is unknown.
+    """
 
     code: str
     reason: str
+    offset: Offset | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

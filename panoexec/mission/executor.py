@@ -246,6 +246,8 @@ class Mission:
             if not context.requests.must_end_shooting:
                 await self._shooting.run()
             await self._shooting.evidence_in()
+            if len(context.queue) and not context.requests.must_end_shooting:
+                continue  # an accepted photo was revoked
             if context.requests.stop is not None or await self._ending.finish():
                 return
 

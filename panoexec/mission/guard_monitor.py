@@ -7,10 +7,11 @@ import math
 
 from panoexec.errors import DeviceError
 from panoexec.mission.context import MissionContext
-from panoexec.mission.guards import Finding, Guard, Situation, reasons
+from panoexec.mission.guards import Finding, GimbalControl, Guard, Situation, reasons
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.mission_requests import Stop
+from panoexec.mission.protocols import AnswersControl
 from panoexec.mission.reference_frame import update_reference_frame
 from panoexec.mission.waiting import until, within
 
@@ -19,6 +20,9 @@ WATCH_S = 0.1
 TICK_S = 0.5
 """Period at which a held mission checks its holds when nothing wakes it."""
 RECLAIM_EVERY_S = 3.0
+ASK_CONTROL_EVERY_S = 1.0
+"""Period at which the gimbal manager is asked who has control while that is unknown."""
+_ENDED_BY_ACQUIRING = frozenset({"gimbal_control", "gimbal_lost"})
 
 
 class GuardMonitor:
@@ -56,10 +60,9 @@ class GuardMonitor:
             now_s=now,
             vehicle=status,
             sample_age_s=math.inf if sample is None else now - sample.received_s,
-            in_control=context.gimbal.in_control,
+            control=GimbalControl.of(context.gimbal),
             # not while it is being acquired or released
             expects_control=context.record.gimbal_held and self._touched and not self._taking,
-            unclaimed=context.gimbal.controlled_by == (0, 0),
             origin=context.record.origin,
             storage_free_images=context.camera.storage_free_images,
             holding=frozenset(context.requests.holds),
@@ -68,13 +71,15 @@ class GuardMonitor:
         found = {f.code: f for guard in self._guards if (f := guard.check(situation)) is not None}
         for finding in found.values():
             context.requests.hold(finding)
-        for code in set(context.requests.holds) - set(found) - {"command"}:
-            context.requests.clear(code, now_s=now, clear_s=context.settings.guards.clear_s)
+        for code in [code for code, hold in context.requests.holds.items() if not hold.finding.retry]:
+            if code not in found:
+                context.requests.clear(code, now_s=now, clear_s=context.settings.guards.clear_s)
 
     async def hold(self) -> None:
         """Hold until no hold is left (the mission is then capturing) or shooting must end."""
         context, requests = self._context, self._context.requests
-        began = reclaimed = context.clock.monotonic()
+        began = context.clock.monotonic()
+        acquired_s, asked_s = math.nan, -math.inf
         announced: tuple[str, ...] = ()
         while not requests.must_end_shooting:
             requests.settled()
@@ -94,10 +99,12 @@ class GuardMonitor:
             if now - began > context.settings.max_pause_s:
                 requests.request_stop(Stop("fail", f"paused for {now - began:.0f} s: {reasons(requests.holds)}"))
                 return
-            delay_s = context.settings.guards.reclaim_after_s if reclaimed == began else RECLAIM_EVERY_S
-            if set(requests.holds) == {"gimbal_control"} and now - reclaimed >= delay_s:
-                reclaimed = now
-                await self._reclaim()
+            if self._is_control_unknown() and now - asked_s >= ASK_CONTROL_EVERY_S:
+                asked_s = now
+                await self._ask_control()
+            if self._may_acquire() and now >= self._acquire_at_s(began, acquired_s):
+                acquired_s = now
+                await self.acquire()
             await until(context.clock.sleep(TICK_S), requests.changed.wait(), "paused")
 
     def _announce(self) -> None:
@@ -112,13 +119,18 @@ class GuardMonitor:
     async def acquire(self) -> bool:
         """Acquire the gimbal unless it is controlled already; a failure adds a hold. Stops when shooting must end."""
         context = self._context
-        if context.record.gimbal_held and context.gimbal.in_control:
+        control = GimbalControl.of(context.gimbal)
+        if context.record.gimbal_held and control is GimbalControl.OURS:
             return True
+        if self._is_control_unknown():
+            self.look()  # another station may have it: not taken before the manager has answered
+            if context.requests.holds:
+                return False
         self._touched, self._asks_manager, self._taking = True, False, True
         try:
             done, _ = await until(context.requests.leaving.wait(), context.gimbal.acquire(), "take the gimbal")
         except DeviceError as error:
-            finding = Finding(code="gimbal_control", reason=f"cannot acquire the gimbal: {error}", automatic=True)
+            finding = Finding(code="gimbal_lost", reason=f"cannot acquire the gimbal: {error}", automatic=True)
             context.requests.hold(finding)
             return False
         finally:
@@ -127,10 +139,35 @@ class GuardMonitor:
             context.recorder.emit(ev.GimbalAcquired())
         return done
 
-    async def _reclaim(self) -> None:
-        finding = self._context.requests.holds["gimbal_control"].finding
-        if finding.automatic and self._context.record.gimbal_held:
-            await self.acquire()
+    def _is_control_unknown(self) -> bool:
+        """Whether the mission has acquired the gimbal and does not know who has it now, though it could be asked."""
+        context = self._context
+        unknown = GimbalControl.of(context.gimbal) is GimbalControl.UNKNOWN
+        return unknown and context.record.gimbal_held and context.vehicle.status.connected
+
+    def _may_acquire(self) -> bool:
+        """Whether acquiring the gimbal again is all that the mission waits for, and may be done by itself."""
+        holds = self._context.requests.holds
+        automatic = all(hold.finding.automatic for hold in holds.values())
+        return bool(holds) and automatic and holds.keys() <= _ENDED_BY_ACQUIRING and self._context.record.gimbal_held
+
+    def _acquire_at_s(self, began_s: float, acquired_s: float) -> float:
+        """When to acquire: at once if nobody has the gimbal, after a delay if another station took it, then repeatedly.
+
+        Args:
+            began_s: when the pause began.
+            acquired_s: when it was last tried in this pause; NaN before.
+        """
+        if not math.isnan(acquired_s):
+            return acquired_s + RECLAIM_EVERY_S
+        taken = "gimbal_control" in self._context.requests.holds
+        return began_s + (self._context.settings.guards.reclaim_after_s if taken else 0.0)
+
+    async def _ask_control(self) -> None:
+        """Ask the gimbal's manager who has control; the answer arrives with its status."""
+        gimbal, requests = self._context.gimbal, self._context.requests
+        if isinstance(gimbal, AnswersControl):
+            await until(requests.stopping.wait(), gimbal.ask_control(), "ask for gimbal control")
 
     async def release(self) -> None:
         """Release the gimbal if this or a crashed process acquired it; with a timeout, never raises a device error."""

@@ -10,13 +10,32 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Protocol
 
-from panoexec.devices import VehicleStatus
+from panoexec.devices import Gimbal, VehicleStatus
 from panoexec.mission.preflight import IDLE_SILENCE_S, cannot_turn
 from panoexec.mission.settings import GuardSettings, MissionSettings
 
 EARTH_RADIUS_M = 6_371_000.0
+
+
+class GimbalControl(StrEnum):
+    """Who has primary control of the gimbal, by its manager's last status."""
+
+    OURS = "ours"
+    ANOTHERS = "another's"
+    NOBODYS = "nobody's"
+    UNKNOWN = "unknown"
+    """No status since the link was opened, came back, or the autopilot rebooted."""
+
+    @classmethod
+    def of(cls, gimbal: Gimbal) -> GimbalControl:
+        """The control state of a gimbal."""
+        if gimbal.in_control:
+            return cls.OURS
+        holder = gimbal.controlled_by
+        return cls.UNKNOWN if holder is None else cls.NOBODYS if holder == (0, 0) else cls.ANOTHERS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,9 +46,8 @@ class Situation:
         now_s: on the mission's clock.
         vehicle: its newest status.
         sample_age_s: age of the newest attitude sample; infinity before the first.
-        in_control: whether the gimbal manager names panoexec as primary control.
+        control: who has primary control of the gimbal.
         expects_control: whether the mission has acquired the gimbal.
-        unclaimed: whether the manager reports no primary control.
         origin: latitude, longitude, altitude where the mission began; NaN where unknown.
         storage_free_images: how many more photos the camera's storage holds.
         holding: codes of the active holds.
@@ -39,11 +57,10 @@ class Situation:
     now_s: float
     vehicle: VehicleStatus
     sample_age_s: float
-    in_control: bool
+    control: GimbalControl
     expects_control: bool
     origin: tuple[float, float, float]
     storage_free_images: float
-    unclaimed: bool = False
     holding: frozenset[str] = frozenset()
     turn_modes: tuple[str, ...] | None = None
 
@@ -57,12 +74,14 @@ class Finding:
         reason: for the pilot.
         automatic: the mission continues by itself when the cause is gone.
         release: the gimbal must be released at once.
+        retry: only another attempt shows whether the cause is gone, so `resume` is always possible.
     """
 
     code: str
     reason: str
     automatic: bool
     release: bool = False
+    retry: bool = False
 
 
 class Guard(Protocol):
@@ -109,23 +128,32 @@ class AttitudeGuard:
 
 @dataclass(frozen=True, slots=True)
 class ControlGuard:
-    """Another component controls the gimbal.
+    """The mission does not have control of the gimbal that it had acquired.
 
-    A component that releases the gimbal leaves it without primary control. So a hold of this guard ends when the gimbal
-    is unclaimed; the mission acquires it again before it continues.
+    * Unknown (no status since a link gap or a reboot): holds until the manager has answered.
+    * Nobody's (a reboot of the manager, an expiry): the mission acquires the gimbal again.
+    * Another station's: `reclaim` decides between a request and the operator. A station that releases the gimbal leaves
+      it without primary control, so this hold ends when the gimbal is nobody's.
     """
 
     reclaim: bool
 
     def check(self, situation: Situation) -> Finding | None:
         """See `Guard.check`."""
-        if situation.in_control or not situation.expects_control or not situation.vehicle.connected:
+        control, was_taken = situation.control, "gimbal_control" in situation.holding
+        if control is GimbalControl.OURS or not situation.expects_control or not situation.vehicle.connected:
             return None
-        if situation.unclaimed and not self.reclaim and "gimbal_control" in situation.holding:
+        if control is GimbalControl.ANOTHERS or (control is GimbalControl.UNKNOWN and was_taken):
+            what = "requesting it back" if self.reclaim else "release it there and resume"
+            reason = f"another station took control of the gimbal; {what}"
+            return Finding(code="gimbal_control", reason=reason, automatic=self.reclaim)
+        if control is GimbalControl.UNKNOWN:
+            reason = "control of the gimbal is unknown; asking its manager"
+            return Finding(code="gimbal_unknown", reason=reason, automatic=True)
+        if was_taken and not self.reclaim:
             return None
-        what = "requesting it back" if self.reclaim else "release it there and resume"
-        reason = f"gimbal control was lost (another station took it, or its manager restarted); {what}"
-        return Finding(code="gimbal_control", reason=reason, automatic=self.reclaim)
+        reason = "control of the gimbal was lost (its manager restarted, or the control expired); acquiring it again"
+        return Finding(code="gimbal_lost", reason=reason, automatic=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,6 +237,22 @@ class PositionGuard:
 
 
 @dataclass(frozen=True, slots=True)
+class FixGuard:
+    """GNSS or the estimator lost the position: the vehicle drifts, and its failsafe follows seconds later.
+
+    Only where the mission had a position: a vehicle on a bench or indoors may never have one.
+    """
+
+    def check(self, situation: Situation) -> Finding | None:
+        """See `Guard.check`."""
+        doubts = situation.vehicle.position_doubts
+        if not doubts or not situation.vehicle.connected or math.isnan(situation.origin[0]):
+            return None
+        reason = f"the position is not reliable: {', '.join(doubts)}; waiting for it"
+        return Finding(code="fix", reason=reason, automatic=True)
+
+
+@dataclass(frozen=True, slots=True)
 class StorageGuard:
     """The camera's storage is full."""
 
@@ -236,7 +280,7 @@ def flight_guards(settings: MissionSettings) -> tuple[Guard, ...]:
     if guard.battery_floor_frac > 0:
         guards.append(BatteryGuard(guard.battery_floor_frac))
     if math.isfinite(guard.position_drift_m):
-        guards.append(PositionGuard(guard.position_drift_m, guard.position_back_frac))
+        guards += [FixGuard(), PositionGuard(guard.position_drift_m, guard.position_back_frac)]
     return tuple(guards)
 
 

@@ -1,7 +1,8 @@
-"""Requests to a running mission and its holds: level-triggered state that the mission reads at its next safe point.
+"""Pending requests of operator and guards, and the holds that pause a mission.
 
-Nothing here waits. A command changes the state and wakes the mission, so a command is safe at any time. A request that
-is withdrawn before the mission acted on it (pause, then resume) has no effect apart from its events.
+The mission reads them at its next safe point. No method waits: a command sets a request and wakes the mission, so it
+may be sent at any time. A request that is withdrawn before the mission has executed it (pause, then resume) only
+leaves its events.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class MissionRequests:
         finish: reason why shooting must end with the gaps accepted; None: it need not.
         skips: shots to skip.
         holds: active holds by code.
-        interrupt: set while the current attempt must be broken off: a stop, a hold, or a skip of its shot.
+        interrupt: set while the current attempt must be cancelled: a stop, a hold, or a skip of its shot.
         changed: set when anything changed since `settled` was called.
         stopping: set once the mission must end.
         leaving: set once shooting must end.
@@ -73,7 +74,7 @@ class MissionRequests:
         self._wake()
 
     def request_skip(self, shot: int, *, current: bool) -> None:
-        """Skip a shot; `current`: its attempt is in progress and must be broken off."""
+        """Skip a shot; `current`: its attempt is in progress and must be cancelled."""
         self.skips.add(shot)
         if current:
             self.interrupt.set()
@@ -81,16 +82,16 @@ class MissionRequests:
 
     def request_pause(self, reason: str) -> None:
         """Hold until `resume`."""
-        self.hold(Finding(code="command", reason=reason or "paused by command", automatic=False))
+        self.hold(Finding(code="command", reason=reason or "paused by command", automatic=False, retry=True))
 
     def resume(self) -> None:
-        """Remove the command's own hold and all holds whose cause is gone.
+        """Remove all holds that end by `resume`, and those whose cause is gone.
 
         Raises:
             CommandRefusedError: the cause of another hold persists; nothing was changed.
         """
         lasting = {
-            code: hold for code, hold in self.holds.items() if code != "command" and math.isnan(hold.gone_since_s)
+            code: hold for code, hold in self.holds.items() if not hold.finding.retry and math.isnan(hold.gone_since_s)
         }
         if lasting:
             raise CommandRefusedError(f"cannot resume yet: {reasons(lasting)}")

@@ -41,6 +41,15 @@ class Verifier(Protocol):
 
 
 @runtime_checkable
+class AnswersControl(Protocol):
+    """A gimbal whose manager can be asked who has control."""
+
+    async def ask_control(self) -> None:
+        """Request the manager's status; takes at most 3 s and does not raise if it does not answer."""
+        ...
+
+
+@runtime_checkable
 class ReportsPhotos(Protocol):
     """A camera that may report each photo with the time of its exposure (CAMERA_IMAGE_CAPTURED, 263)."""
 

@@ -29,6 +29,7 @@ SLACK_S: Final = 0.25
 """Tolerance between wall clock and exposure times, before and after the possible exposure window."""
 BEFORE: Final = "panoexec stopped before the photo was taken"
 UNKNOWN: Final = "panoexec stopped before there was evidence of the photo"
+UNREPORTED: Final = "the camera reported other photos, but not this one"
 UNJUDGED: Final = "panoexec stopped before the pointing during the exposure was recorded"
 
 
@@ -50,12 +51,25 @@ async def settle_open_attempts(context: MissionContext) -> None:
                 better = tuple(photos.identified(photo) for photo in attempt.photos)
                 if better != attempt.photos:
                     context.recorder.emit(ev.PhotoIdentified(shot=index, attempt=attempt.number, photos=better))
+    _revoke_unreported(context)
     # attempts with a known exposure claim their photos first
     for exposed in (True, False):
         for index, record in sorted(shots.items()):
             unsettled = record.open_attempt
             if unsettled is not None and (unsettled.exposed is not None) is exposed:
                 await _settle(context, index, unsettled, photos)
+
+
+def _revoke_unreported(context: MissionContext) -> None:
+    """Revoke photos that an earlier process accepted by a count alone before the camera reported its first one."""
+    for index, record in sorted(context.record.shots.items()):
+        for attempt in record.attempts:
+            level = evidence.weakest(attempt.photos) if attempt.photos else EvidenceLevel.COMMANDED
+            if attempt.verdict is Verdict.ACCEPTED and level < context.record.reported_level:
+                revoked = ev.ShotRevoked(shot=index, attempt=attempt.number, code="evidence", reason=UNREPORTED)
+                context.recorder.emit(revoked)
+                if record.accepted is None and record.open_attempt is None and index not in context.queue:
+                    context.queue.add(index)
 
 
 def _anonymous(attempt: AttemptRecord) -> bool:
@@ -89,7 +103,7 @@ async def _settle(context: MissionContext, index: int, attempt: AttemptRecord, r
         if len(photos) == 1 and recalled.is_one_more_than(exposed.images_before):
             counted = CaptureEvidence(level=EvidenceLevel.COUNTED, received_s=math.nan)
             photos = (evidence.with_evidence(photos[0], counted),)
-        proven = evidence.weakest(photos) >= settings.min_evidence
+        proven = evidence.weakest(photos) >= max(settings.min_evidence, context.record.reported_level)
         by = ""
         if exposed.pointing_ok:
             by = "open_loop" if exposed.open_loop else "tolerance"

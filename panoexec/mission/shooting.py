@@ -8,19 +8,23 @@ from collections.abc import Sequence
 
 import structlog
 
-from panoexec.devices import CaptureEvidence, EvidenceLevel, PendingCapture
-from panoexec.mission import dated_exposure, evidence
+from panoexec.mission import evidence
 from panoexec.mission.attempt import Shooter
-from panoexec.mission.attempt_result import Exposure, NotSettled, Settled
+from panoexec.mission.attempt_result import Exposure, NotSettled, Offset, Settled
 from panoexec.mission.context import MissionContext
 from panoexec.mission.guard_monitor import GuardMonitor
+from panoexec.mission.guards import Finding
 from panoexec.mission.log import events as ev
+from panoexec.mission.log.record import ShotStatus
 from panoexec.mission.log.states import MissionState
-from panoexec.mission.measured_certificate import overlaps_hold
+from panoexec.mission.photo_proof import PhotoProof
 from panoexec.mission.pointing.tolerance_gate import WindowVerdict
-from panoexec.mission.protocols import ReportsPhotos
+from panoexec.mission.preflight import gimbal_limits
 from panoexec.mission.shot_queue import Decision, Task
+from panoexec.mission.systematic_failure import SystematicFailure
 from panoexec.mission.waiting import until
+
+_log = structlog.get_logger(__name__)
 
 
 class Shooting:
@@ -45,6 +49,11 @@ class Shooting:
             reference_yaw_north_deg=context.record.reference_yaw_north_deg,
             open_loop=context.settings.feedback == "none",
             heading_controller=context.heading_controller,
+        )
+        self._proof = PhotoProof(context, self.shooter, self)
+        pans = gimbal_limits(context.gimbal, context.settings).pans
+        self._failures = SystematicFailure(
+            context.settings.tolerance, vehicle_pans=context.heading_controller is not None and not pans
         )
 
     async def run(self) -> None:
@@ -73,6 +82,8 @@ class Shooting:
         while self._outstanding and self._context.requests.stop is None:
             self._proven.clear()
             await until(self._context.requests.stopping.wait(), self._proven.wait(), "last evidence")
+        if self._context.requests.stop is None:
+            await until(self._context.requests.stopping.wait(), self._proof.last_look(), "last look at the photos")
         self.ended_s = self._context.clock.monotonic()
 
     async def _attempt(self, task: Task) -> None:
@@ -112,7 +123,7 @@ class Shooting:
         else:
             exposure = result
         if isinstance(exposure, NotSettled):
-            self._reject(shot.index, number, exposure.code, exposure.reason, ())
+            self.reject(shot.index, number, exposure.code, exposure.reason, (), offset=exposure.offset)
             return
         assert isinstance(result, Settled)
         self._exposed(shot.index, number, result, exposure)
@@ -138,7 +149,9 @@ class Shooting:
         self._keep(exposed)
         if exposure.broken_off:
             self._interrupted(shot, number)
-            self._group.create_task(self._identify(shot, number, photos, exposure.captures), name=f"photo of {shot}")
+            self._group.create_task(
+                self._proof.identify(shot, number, photos, exposure.captures), name=f"photo of {shot}"
+            )
             return
         by = "open_loop" if self.shooter.open_loop else "tolerance" if verdict.ok else "overlap"
         if not exposure.failure and (verdict.ok or may_overlap):
@@ -147,8 +160,8 @@ class Shooting:
             self._group.create_task(proof, name=f"evidence of {shot}")
             return
         code = "trigger" if exposure.failure else verdict.code
-        self._reject(shot, number, code, exposure.failure or verdict.reason, photos)
-        self._group.create_task(self._identify(shot, number, photos, exposure.captures), name=f"photo of {shot}")
+        self.reject(shot, number, code, exposure.failure or verdict.reason, photos, offset=_offset_of(verdict))
+        self._group.create_task(self._proof.identify(shot, number, photos, exposure.captures), name=f"photo of {shot}")
 
     def _may_overlap(self, verdict: WindowVerdict) -> bool:
         """Whether an exposure outside tolerance is sharp and measured, so that the overlaps may still accept it."""
@@ -156,77 +169,21 @@ class Shooting:
         sharp = verdict.spread_deg <= settings.max_rate_deg_s * settings.exposure_bound_s
         return settings.accept == "overlap" and verdict.code == "pointing" and sharp
 
-    async def _prove(
-        self,
-        shot: int,
-        number: int,
-        photos: Sequence[ev.Photo],
-        exposure: Exposure,
-        *,
-        by: str,
-    ) -> None:
-        """Await the evidence of an exposure, then check its date and its overlaps; accept or reject the attempt."""
-        settings = self._context.settings
-        captures, verdict = exposure.captures, exposure.verdict
-        wanted = settings.min_evidence
-        if isinstance(self._context.camera, ReportsPhotos) and self._context.camera.reports_photos:
-            wanted = max(wanted, EvidenceLevel.CAPTURE_MESSAGE)  # its report also dates the exposure
+    async def _prove(self, shot: int, number: int, photos: Sequence[ev.Photo], exposure: Exposure, *, by: str) -> None:
+        """Have an exposure judged by its evidence; the next trigger waits for this."""
         try:
-            proven = await evidence.gather(photos, captures, at_least=wanted, timeout_s=settings.evidence_s)
-            code, why = await self._evidence_problem(shot, exposure)
-            level = evidence.weakest(proven)
-            if level < settings.min_evidence:
-                reason = (
-                    f"the photo is only {level.name.lower()} after {settings.evidence_s:g} s,"
-                    f" {settings.min_evidence.name.lower()} is required"
-                )
-                self._reject(shot, number, "evidence", reason, proven)
-            elif code:
-                self._reject(shot, number, code, why, proven)
-            elif by == "overlap" and not await overlaps_hold(self._context, shot, verdict.measured):
-                reason = f"{verdict.reason}, and the overlaps are too small with this pose"
-                self._reject(shot, number, verdict.code, reason, proven)
-            else:
-                self._keep(ev.ShotAccepted(shot=shot, attempt=number, photos=proven, by=by))
-                self._context.requests.skips.discard(shot)
-                self._context.eta.accepted(self._context.clock.monotonic())
+            await self._proof.judge(shot, number, photos, exposure, by=by)
         finally:
             self._outstanding -= 1
             self._proven.set()
-        await self._identify(shot, number, proven, captures)
+        await self._proof.follow_up(shot, number)
 
-    async def _evidence_problem(self, index: int, exposure: Exposure) -> tuple[str, str]:
-        """Code and reason if a photo may be another one, or was exposed at a wrong pose; ("", "") otherwise."""
-        shot = self._context.record.shots[index].shot
-        found = await self._learn_lag(exposure.captures)
-        for one, capture in zip(found, exposure.captures, strict=True):
-            verdict = await self.shooter.judge_date(shot, one, capture.commanded_s, exposure)
-            if verdict is not None and not verdict.ok:
-                return "late_exposure", f"{dated_exposure.when(one, capture.commanded_s)}: {verdict.reason}"
-        why = dated_exposure.contradictions(found)
-        return ("evidence", why) if why else ("", "")
-
-    async def _learn_lag(self, captures: Sequence[PendingCapture]) -> list[CaptureEvidence]:
-        """The current evidence of photos; warns about a shutter lag longer than configured."""
-        found = [await capture.evidence(EvidenceLevel.COMMANDED, 0.0) for capture in captures]
-        for one, capture in zip(found, captures, strict=True):
-            if text := self.shooter.lag.note(one, capture.commanded_s):
-                self._context.recorder.emit(ev.Warned(code="latency", text=text))
-        if text := self.shooter.interval_warning():
-            self._context.recorder.emit(ev.Warned(code="interval", text=text))
-        return found
-
-    async def _identify(
-        self, shot: int, number: int, photos: Sequence[ev.Photo], captures: Sequence[PendingCapture]
-    ) -> None:
-        """Get the file names of photos that already have a verdict; nothing waits for this."""
-        if evidence.weakest(photos) >= EvidenceLevel.CAPTURE_MESSAGE:
-            return
-        level, timeout_s = EvidenceLevel.CAPTURE_MESSAGE, self._context.settings.evidence_s
-        better = await evidence.gather(photos, captures, at_least=level, timeout_s=timeout_s)
-        await self._learn_lag(captures)
-        if better != tuple(photos):
-            self._context.recorder.emit(ev.PhotoIdentified(shot=shot, attempt=number, photos=better))
+    def accept(self, shot: int, number: int, photos: Sequence[ev.Photo], *, by: str) -> None:
+        """See `Verdicts.accept`."""
+        self._failures.reset()
+        self._keep(ev.ShotAccepted(shot=shot, attempt=number, photos=tuple(photos), by=by))
+        self._context.requests.skips.discard(shot)
+        self._context.eta.accepted(self._context.clock.monotonic())
 
     def _interrupted(self, shot: int, number: int) -> None:
         requests = self._context.requests
@@ -235,10 +192,46 @@ class Shooting:
         if not self._skipped(shot, number):
             self._context.queue.put_back(shot)
 
-    def _reject(self, shot: int, number: int, code: str, reason: str, photos: Sequence[ev.Photo]) -> None:
+    def reject(
+        self,
+        shot: int,
+        number: int,
+        code: str,
+        reason: str,
+        photos: Sequence[ev.Photo],
+        *,
+        offset: Offset | None = None,
+    ) -> None:
+        """See `Verdicts.reject`; with its pointing error, if known. Holds the mission if several shots fail alike."""
         self._keep(ev.ShotRejected(shot=shot, attempt=number, code=code, reason=reason, photos=tuple(photos)))
         if self._skipped(shot, number):
             return
+        self._again(shot, number, reason)
+        failure = self._failures.rejected(
+            self._context.record.shots[shot].shot, code=code, reason=reason, offset=offset
+        )
+        if failure is not None:
+            self._hold_for(failure)
+
+    def _hold_for(self, failure: Finding) -> None:
+        """Pause for a systematic failure; its shots get all their attempts back and are first after a `resume`."""
+        for shot in reversed(self._failures.shots):
+            record = self._context.record.shots[shot]
+            if record.accepted is None and record.open_attempt is None and record.status is not ShotStatus.SKIPPED:
+                self._context.queue.restore(shot)
+        self._failures.reset()
+        _log.warning("systematic failure", code=failure.code, reason=failure.reason)
+        self._context.requests.hold(failure)
+
+    def revoke(self, shot: int, number: int, code: str, reason: str, photos: Sequence[ev.Photo]) -> None:
+        """See `Verdicts.revoke`; the shot is taken again unless an earlier photo of it counts."""
+        self._keep(ev.ShotRevoked(shot=shot, attempt=number, code=code, reason=reason, photos=tuple(photos)))
+        record = self._context.record.shots[shot]
+        if record.accepted is None and record.open_attempt is None and shot not in self._context.queue:
+            self._again(shot, number, reason)
+
+    def _again(self, shot: int, number: int, reason: str) -> None:
+        """Decide when a shot is taken again, if at all."""
         emit, queue = self._context.recorder.emit, self._context.queue
         match queue.rejected(shot):
             case Decision.AT_ONCE:
@@ -270,3 +263,10 @@ class Shooting:
             self._proven.clear()
             return self._proven
         return None
+
+
+def _offset_of(verdict: WindowVerdict) -> Offset | None:
+    errors = verdict.errors
+    if errors is None:
+        return None
+    return Offset(pitch_deg=errors.pitch_deg, roll_deg=errors.roll_deg, yaw_deg=errors.yaw_deg)

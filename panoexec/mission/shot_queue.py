@@ -59,6 +59,12 @@ class ShotQueue:
         self.drop(shot)
         self._now.appendleft(shot)
 
+    def restore(self, shot: int) -> None:
+        """Put a shot first with all its attempts: those that it had say nothing about it."""
+        self.put_back(shot)
+        self._tried.pop(shot, None)
+        self._round_of.pop(shot, None)
+
     def rejected(self, shot: int) -> Decision:
         """Count a failed attempt and decide when the shot is taken again, if at all."""
         self.drop(shot)

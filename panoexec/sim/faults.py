@@ -85,12 +85,17 @@ FAULTS: dict[str, Fault] = {
     ),
     "capture-twice": Fault(kind=Kind.PHOTO, text="the photo is reported twice"),
     "storage-full": Fault(kind=Kind.SPAN, text="the storage is full", duration_s=math.inf),
+    "gps-lost": Fault(
+        kind=Kind.SPAN,
+        text="the GPS has no fix; after 8 s the estimator gives its position up and the autopilot's failsafe lands",
+    ),
+    "rtl": Fault(kind=Kind.ONCE, text="a failsafe of the autopilot changes the flight mode to RTL"),
     "battery-low": Fault(kind=Kind.ONCE, text="the battery falls to the size", size=0.12, unit="fraction"),
     "gust": Fault(kind=Kind.SPAN, text="wind rises by the size", size=14.0, unit="m/s", duration_s=8.0),
     "clock-jump": Fault(kind=Kind.ONCE, text="the vehicle's UTC jumps by the size", size=3600.0, unit="s"),
 }
 
-AUTOPILOT_FAULTS = frozenset({"link-loss", "reboot", "control-stolen", "mode-change", "battery-low"})
+AUTOPILOT_FAULTS = frozenset({"link-loss", "reboot", "control-stolen", "mode-change", "gps-lost", "rtl", "battery-low"})
 """Faults of the embedded autopilot, not available with a real one."""
 
 _NUMBER = r"(?:\d+\.?\d*|\.\d+)"

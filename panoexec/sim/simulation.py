@@ -176,6 +176,9 @@ class Simulation:
                 vehicle.manager.steal(THIEF)
             if faults.fires("mode-change", now):
                 vehicle.modes.set(vehicle.modes.pilot_mode)
+            if faults.fires("rtl", now):
+                vehicle.modes.set("RTL")
+            vehicle.lose_gps(lost=faults.active("gps-lost", now))
 
     def _develop(self, exposure: Exposure, fix: Fix | None) -> str:
         """Queue a photo for rendering and log its true attitude; returns the file's URL."""

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import re
 from collections import Counter
@@ -17,7 +18,13 @@ import pytest
 
 pytest.importorskip("pymavlink")
 
+from panoexec.cli import dry_run
+from panoexec.cli.app import parser_of
+from panoexec.daemon.mission_request import settings_of
 from panoexec.dryrun.run import DryRunOptions, DryRunSummary, resume_dry_run, run_dry_run
+from panoexec.inputs.camera_profiles import configured_profile
+from panoexec.inputs.config import Config
+from panoexec.inputs.plan_options import configured_spec
 from panoexec.mission.log.events import Event, MissionPaused, ShotAccepted
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.settings import GuardSettings, MissionSettings
@@ -90,6 +97,59 @@ async def test_the_pilot_takes_over_and_the_mission_can_be_resumed_afterwards(tm
     assert summary.state == "complete"
 
 
+def _exposures(directory: Path) -> list[dict[str, Any]]:
+    """What the camera really did: the simulator's truth."""
+    lines = (directory / "images" / "truth.jsonl").read_text(encoding="utf-8").splitlines()
+    return [line for line in map(json.loads, lines) if line["event"] == "exposure"]
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+async def test_no_photo_is_taken_without_a_gps_fix(tmp_path: Path, autopilot: str) -> None:
+    start_s, lasts_s = 3.0, 5.0
+    fault = f"gps-lost={start_s:g}+{lasts_s:g}"
+    summary, events = await _fly(_options(tmp_path, fault, images=True, autopilot=autopilot))
+    assert summary.state == "complete"
+    paused = [event for event in events if isinstance(event, MissionPaused)]
+    assert [(event.code, event.automatic) for event in paused] == [("fix", True)]
+    assert "no 3D fix" in paused[0].reason
+    taken_s = [exposure["sim_s"] for exposure in _exposures(summary.directory)]
+    command_s = taken_s[0] - 0.1  # the fault is counted from the first photo command
+    blind = [t for t in taken_s if command_s + start_s + 0.6 < t < command_s + start_s + lasts_s]
+    assert not blind, "a photo in flight may come 0.6 s after the loss at the latest"
+    assert any(t > command_s + start_s + lasts_s for t in taken_s)
+
+
+async def test_a_gps_that_stays_away_ends_in_the_failsafe_and_takes_no_more_photos(tmp_path: Path) -> None:
+    summary, events = await _fly(_options(tmp_path, "gps-lost=3+60", images=True))
+    assert summary.state == "failed"
+    codes = [event.code for event in events if isinstance(event, MissionPaused)]
+    assert codes[0] == "fix"
+    assert "pilot" in codes[-1], "the estimator's failsafe lands: the gimbal is released"
+    assert any(event.type == "gimbal_released" for event in events)
+    taken_s = [exposure["sim_s"] for exposure in _exposures(summary.directory)]
+    assert max(taken_s) < taken_s[0] + 3.6
+
+
+@pytest.mark.parametrize("fault", ["rtl=2", "mode-change=2"])
+async def test_a_dry_run_as_the_command_line_flies_it_stops_shooting_in_another_flight_mode(
+    tmp_path: Path, fault: str
+) -> None:
+    arguments = ["--elevation", "-35", "-15", "--speedup", "20", "--fault", fault, "--output", str(tmp_path)]
+    options = dry_run._options(parser_of("dry-run", dry_run).parse_args(arguments))
+    assert options.settings.guards == replace(
+        settings_of(Config(), configured_spec(Config(), configured_profile(Config()))).guards,
+        position_hold=True,  # a dry-run flies
+        reclaim="ask",  # nobody could resume it
+    )
+    summary, events = await _fly(options)
+    assert summary.state == "failed"
+    assert "the pilot has taken over" in summary.reason
+    released = next(event for event in events if event.type == "gimbal_released")
+    assert not any(event.type == "gimbal_acquired" for event in events if event.seq > released.seq)
+    taken_s = [exposure["sim_s"] for exposure in _exposures(summary.directory)]
+    assert max(taken_s) < taken_s[0] + 2.0 + 1.5, "a photo in flight at most"
+
+
 ALL_FAULTS = {
     "link-loss=3+5": "complete",
     "reboot=4": "complete",
@@ -106,6 +166,8 @@ ALL_FAULTS = {
     "capture-lost=#2,#3": "complete",
     "capture-twice=#2,#3": "complete",
     "storage-full=4+6": "complete",
+    "gps-lost=4+5": "complete",
+    "rtl=4": "failed",
     "battery-low=4": "failed",
     "gust=3+6": "complete",
     "clock-jump=4": "complete",

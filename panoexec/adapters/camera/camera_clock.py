@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from statistics import median
 from typing import Final
 
@@ -26,15 +27,30 @@ LATE_S: Final = 0.25
 """A message that is later than predicted by more than this was held up, or the camera's clock was stepped back. A
 smaller step back looks like a delay until the messages from before it have left the window."""
 _AGREE_S: Final = 0.1
+_LATEST_REPORT_S: Final = 10.0
+"""How long a report may be under way."""
 
 
 class CameraClock:
-    """Dates stamps of a camera on the mission's clock."""
+    """Dates stamps of a camera on the mission's clock.
 
-    def __init__(self) -> None:
-        self._pairs: deque[tuple[float, float]] = deque(maxlen=_KEPT)
+    Args:
+        pairs: stamps and arrivals that relate the clocks.
+        rate: mission seconds per camera second.
+        rate_error: how far the rate may be wrong.
+    """
+
+    def __init__(
+        self, pairs: Iterable[tuple[float, float]] = (), *, rate: float = 1.0, rate_error: float = RATE_BOUND
+    ) -> None:
+        self._pairs: deque[tuple[float, float]] = deque(pairs, maxlen=_KEPT)
         self._suspect: tuple[float, float] | None = None
-        self._rate, self._rate_error = 1.0, RATE_BOUND
+        self._rate, self._rate_error = rate, rate_error
+        self._before: CameraClock | None = None  # the relation before the last step
+        self._found_s = math.inf
+        self.in_doubt_since_s = math.inf
+        """The last message before the last step: dates of reports that arrived after it and before the step was found
+        may be wrong."""
         self.steps = 0
         """How often the camera's clock was found stepped, or the camera rebooted."""
 
@@ -65,7 +81,7 @@ class CameraClock:
         if self._pairs:
             predicted_s, error_s = self._predict(stamp_s)
             if received_s < predicted_s - error_s - DELAY_S:  # arrived before it was sent: stepped forward
-                self._restart([])
+                self._restart([], received_s)
             elif received_s > predicted_s + error_s + LATE_S:
                 self._suspected(stamp_s, received_s)
                 return
@@ -81,14 +97,23 @@ class CameraClock:
 
         Returns:
             (time, error), seconds on the mission's clock. The time may lie after `received_s`: then the camera's clock
-            was stepped, and the date is not to be believed.
+            was stepped, and the date is not to be believed. NaN, too, for a stamp that may be from before a step and
+            from after it.
         """
         if not self._pairs or math.isnan(stamp_s):
             return math.nan, math.nan
         predicted_s, error_s = self._predict(stamp_s)
         if 0 < predicted_s - received_s <= error_s + DELAY_S:
             predicted_s = received_s
-        return predicted_s, error_s + DELAY_S
+        error_s += DELAY_S
+        if self._before is None or received_s > self._found_s + _WINDOW_S:
+            return predicted_s, error_s
+        old_s, old_error_s = self._before.date(stamp_s, received_s)
+        may_be_old = received_s - _LATEST_REPORT_S - old_error_s <= old_s <= self._found_s + old_error_s
+        may_be_new = predicted_s >= self.in_doubt_since_s - error_s
+        if may_be_old == may_be_new:
+            return math.nan, math.nan
+        return (predicted_s, error_s) if may_be_new else (old_s, old_error_s)
 
     def _predict(self, stamp_s: float) -> tuple[float, float]:
         """When a message with that stamp would arrive without any delay, by the fastest of those known."""
@@ -106,14 +131,17 @@ class CameraClock:
             return
         apart_s = (received_s - first[1]) - self._rate * (stamp_s - first[0])
         if abs(apart_s) <= _AGREE_S + self._rate_error * abs(stamp_s - first[0]):
-            self._restart([first, (stamp_s, received_s)])
+            self._restart([first, (stamp_s, received_s)], first[1])
 
-    def _restart(self, pairs: list[tuple[float, float]]) -> None:
+    def _restart(self, pairs: list[tuple[float, float]], found_s: float) -> None:
         """Begin anew after a step: offsets from before say nothing; the rate stays as estimated."""
         self.steps += 1
+        self.in_doubt_since_s = self._pairs[-1][1]
+        self._before = CameraClock(self._pairs, rate=self._rate, rate_error=self._rate_error)
         self._suspect = None
         self._pairs.clear()
         self._pairs.extend(pairs)
+        self._found_s = found_s
         self._rate_error = max(self._rate_error, 0.005)
 
     def _add(self, stamp_s: float, received_s: float) -> None:

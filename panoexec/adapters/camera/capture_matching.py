@@ -52,6 +52,7 @@ class CaptureMatcher:
     def __init__(self, clock: CameraClock | None = None) -> None:
         self._clock = clock or CameraClock()
         self._held: list[Report] = []
+        self._steps = self._clock.steps
         self._latencies_s: deque[float] = deque(maxlen=_LATENCIES)
         self.foreign_photos = 0
         """Photos that were reported but not triggered by us."""
@@ -108,8 +109,10 @@ class CaptureMatcher:
             waiting.contradict(_misfit(report))
 
     def _may_be_dated_anew(self, report: Report, capture: Capture | None) -> bool:
-        """Whether a trigger waits for a report that fits none, or whose date cannot be true."""
+        """Whether a trigger waits for a report that fits none, or whose date cannot be true, or may not be."""
         stamped = math.isfinite(report.evidence.exposed_vehicle_s)
+        if stamped and self._clock.suspicious:
+            return True
         impossible = stamped and self._clock.related and math.isnan(report.exposed_s)
         return (impossible or (stamped and capture is None)) and bool(self._open(report))
 
@@ -119,9 +122,12 @@ class CaptureMatcher:
         Args:
             now_s: on the mission's clock; what has been held for long enough is settled either way.
         """
+        self._doubt_dates_around_a_step()
         held, self._held = self._held, []
         for report in held:
             exposed_s, error_s = self._clock.date(report.evidence.exposed_vehicle_s, report.evidence.received_s)
+            if self._clock.suspicious:
+                exposed_s = error_s = math.nan
             again = dated(report, exposed_s, error_s)
             capture = self._match(again)
             if self._may_be_dated_anew(again, capture) and now_s - report.evidence.received_s < _HELD_S:
@@ -131,6 +137,16 @@ class CaptureMatcher:
                     if waiting.known.contradiction == _misfit(report):
                         waiting.contradict("")
                 self._settle(again, capture)
+
+    def _doubt_dates_around_a_step(self) -> None:
+        """After a step of the camera's clock: photos that were dated since the last message before it are in doubt."""
+        if self._clock.steps == self._steps:
+            return
+        self._steps = self._clock.steps
+        for capture in self._captures:
+            report = capture.sources.get(Source.CAPTURED)
+            if report is not None and report.evidence.received_s > self._clock.in_doubt_since_s:
+                capture.contradict(f"the camera's clock was stepped about when it reported photo {report.index}")
 
     def _settle(self, report: Report, capture: Capture | None) -> Capture | None:
         """Book a report on its trigger; on none, it is a photo of somebody else, or a contradiction."""
@@ -149,7 +165,7 @@ class CaptureMatcher:
         if self._is_of_refused(report):
             _log.warning("a trigger that was refused took a photo", source=report.source, index=report.index)
         self.foreign_photos += 1
-        _log.warning("a photo that was not asked for", source=report.source, index=report.index)
+        _log.warning("unsolicited photo", source=report.source, index=report.index)
         number, index = self._last_match.get(report.source, (-1, -1))
         if number >= 0 and report.index > index:  # the next photo of ours has an index beyond it
             self._last_match[report.source] = (number, report.index)
@@ -273,6 +289,9 @@ def _misfit(report: Report) -> str:
 
 def _is_same_photo(first: Report, again: Report) -> bool:
     """Whether two reports with the same index are of the same photo; a rebooted camera counts from 1 again."""
+    stamps_apart_s = again.evidence.exposed_vehicle_s - first.evidence.exposed_vehicle_s
+    if abs(stamps_apart_s) < _STAMP_SLACK_S:  # however the camera's clock was related to ours each time
+        return True
     apart = again.exposed_s - first.exposed_s
     if math.isfinite(apart):
         return abs(apart) < _SAME_PHOTO_S

@@ -103,7 +103,7 @@ class MavsdkGimbal:
         self._stated = YawFrame.VEHICLE
         self._found: GimbalFound | None = None
         self._limits: GimbalLimits | None = None
-        self._control: ControlStatus | None = None
+        self._control: tuple[int, int] | None = None
         self._status_came = asyncio.Event()
         self._listed = asyncio.Event()
         self._list: list[GimbalItem] = []
@@ -126,13 +126,15 @@ class MavsdkGimbal:
     @property
     def in_control(self) -> bool:
         """See `Gimbal.in_control`."""
-        status = self._control
-        return status is not None and self._holder(status) == self._link.own_ids
+        return self._control == self._link.own_ids
 
     @property
     def controlled_by(self) -> tuple[int, int] | None:
-        """MAVLink system and component in primary control, (0, 0) for none; None before the first status."""
-        return None if self._control is None else self._holder(self._control)
+        """MAVLink system and component in primary control, (0, 0) for none.
+
+        None before the first status, and after a reboot or a link gap until the next one.
+        """
+        return self._control
 
     @property
     def found(self) -> GimbalFound | None:
@@ -153,6 +155,7 @@ class MavsdkGimbal:
             self._link.on("GIMBAL_DEVICE_ATTITUDE_STATUS", self._reports.put),
             self._link.on("ATTITUDE", self._reports.put),
             self._link.on("GIMBAL_MANAGER_INFORMATION", self._information),
+            self._link.on("GIMBAL_MANAGER_STATUS", self._manager_status),
         ]
         self._off.append(self._link.when_attached(self._attach))
         self._off.append(self._link.when_back(self._came_back))
@@ -217,10 +220,17 @@ class MavsdkGimbal:
         except TimeoutError as error:
             holder = "no primary control"
             if self._control is not None:
-                holder = "system {} component {}".format(*self._holder(self._control))
+                holder = "system {} component {}".format(*self._control)
             raise DeviceError(
                 f"taking control of the gimbal: accepted, but its manager reports {holder} after {_TAKE_S:g} s"
             ) from error
+
+    async def ask_control(self) -> None:
+        """See `AnswersControl.ask_control`."""
+        if self._found is not None:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_TAKE_S):
+                    await self._ask_status(self._found.manager_component)
 
     async def point(self, pitch_deg: float, yaw_deg: float | None) -> None:
         """See `Gimbal.point`."""
@@ -317,7 +327,18 @@ class MavsdkGimbal:
     def _control_status(self, status: ControlStatus, _user_data: object) -> None:
         if self._found is not None and status.gimbal_id != self._found.gimbal_id:
             return
-        self._control = status
+        self._take_control_status((status.sysid_primary_control, status.compid_primary_control))
+
+    def _manager_status(self, message: MavMessage) -> None:
+        """GIMBAL_MANAGER_STATUS (281), each one: MAVSDK does not report a status again that did not change."""
+        found, fields = self._found, message.fields
+        device = int(fields["gimbal_device_id"])
+        if found is None or message.component_id != found.manager_component or device not in (0, found.device_id):
+            return
+        self._take_control_status((int(fields["primary_control_sysid"]), int(fields["primary_control_compid"])))
+
+    def _take_control_status(self, holder: tuple[int, int]) -> None:
+        self._control = holder
         self._link.post(self._status_came.set)
 
     # --- on the loop
@@ -382,7 +403,3 @@ class MavsdkGimbal:
                 "PX4: set MNT_MODE_OUT and MNT_MODE_IN to MAVLink gimbal protocol v2"
             )
         return "its attitude arrives, but no gimbal manager answers the request for GIMBAL_MANAGER_INFORMATION (280)"
-
-    @staticmethod
-    def _holder(status: ControlStatus) -> tuple[int, int]:
-        return status.sysid_primary_control, status.compid_primary_control

@@ -247,6 +247,7 @@ class MavsdkLink:
         if message.component_id == AUTOPILOT:
             was_away = now - self._heartbeat_s >= HEARTBEAT_LOST_S
             self._heartbeat_s = now
+            self.streams.autopilot = int(message.fields["autopilot"])
             if was_away:
                 self.post(self._came_back)
         elif (self._vehicle_system, message.component_id) == self.own_ids:

@@ -6,6 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+EKF_STATUS_REPORT: Final = 193
+ESTIMATOR_STATUS: Final = 230
+ARDUPILOT: Final = 3
+PX4: Final = 12
+"""MAV_AUTOPILOT, as in HEARTBEAT.autopilot."""
+
 HEARTBEAT_LOST_S: Final = 3.0
 """Heartbeat timeout of the autopilot."""
 
@@ -24,12 +30,14 @@ class Stream:
         name: MAVLink message name.
         rate_hz: rate while a mission runs.
         idle_rate_hz: rate otherwise, sufficient to monitor the sender.
+        autopilot: the only MAV_AUTOPILOT that is asked for it, because others do not have it; None: every one.
     """
 
     message_id: int
     name: str
     rate_hz: float
     idle_rate_hz: float
+    autopilot: int | None = None
 
 
 DEFAULT_STREAMS: Final = (
@@ -39,9 +47,10 @@ DEFAULT_STREAMS: Final = (
     Stream(message_id=33, name="GLOBAL_POSITION_INT", rate_hz=5.0, idle_rate_hz=2.0),
     Stream(message_id=1, name="SYS_STATUS", rate_hz=1.0, idle_rate_hz=1.0),
     Stream(message_id=245, name="EXTENDED_SYS_STATE", rate_hz=1.0, idle_rate_hz=1.0),
-    # ArduPilot sends the first of these two, PX4 the second
-    Stream(message_id=193, name="EKF_STATUS_REPORT", rate_hz=1.0, idle_rate_hz=0.5),
-    Stream(message_id=230, name="ESTIMATOR_STATUS", rate_hz=1.0, idle_rate_hz=0.5),
+    Stream(message_id=24, name="GPS_RAW_INT", rate_hz=5.0, idle_rate_hz=0.5),
+    # ArduPilot announces each request for a message that it does not have on the pilot's screen
+    Stream(message_id=EKF_STATUS_REPORT, name="EKF_STATUS_REPORT", rate_hz=2.0, idle_rate_hz=0.5, autopilot=ARDUPILOT),
+    Stream(message_id=ESTIMATOR_STATUS, name="ESTIMATOR_STATUS", rate_hz=2.0, idle_rate_hz=0.5, autopilot=PX4),
 )
 
 

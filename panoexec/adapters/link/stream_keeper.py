@@ -63,6 +63,8 @@ class StreamKeeper:
             command: sends a command to the autopilot, returns its MAV_RESULT, raises DeviceError.
             rebooted: called in MAVSDK's thread after a reboot.
         """
+        self.autopilot: int | None = None
+        """MAV_AUTOPILOT of the vehicle, by its heartbeat; None before the first."""
         self.active = False
         """Whether to request the rates of a running mission."""
         self.throttled: dict[int, float] = {}
@@ -88,7 +90,7 @@ class StreamKeeper:
             for watch in self._watches:
                 wanted, now = self._wanted_hz(watch), time.monotonic()
                 watch.settle(wanted, now)
-                if not watch.due(wanted, now):
+                if not self._has(watch.stream) or not watch.due(wanted, now):
                     continue
                 try:
                     result = await self._command(SET_MESSAGE_INTERVAL, [watch.stream.message_id, 1e6 / wanted])
@@ -119,7 +121,12 @@ class StreamKeeper:
                 age_s=now - watch.last_s,
             )
             for watch in self._watches
+            if self._has(watch.stream)
         ]
+
+    def _has(self, stream: Stream) -> bool:
+        """Whether the autopilot is one that has the message."""
+        return stream.autopilot in (None, self.autopilot)
 
     def _wanted_hz(self, watch: StreamHealth) -> float:
         stream = watch.stream

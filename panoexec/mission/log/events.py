@@ -306,8 +306,24 @@ class ShotRejected(ShotEvent):
     """The attempt is rejected.
 
     Attributes:
-        code: `not_settled`, `pointing`, `no_samples`, `trigger`, `evidence`, `gimbal`, `vehicle`, `crash`.
+        code: `not_settled`, `pointing`, `no_samples`, `trigger`, `evidence`, `late_exposure`, `gimbal`, `vehicle`,
+            `crash`.
         reason: for the pilot, with figures.
+    """
+
+    code: str
+    reason: str
+    photos: tuple[Photo, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShotRevoked(ShotEvent):
+    """An accepted attempt is rejected after all: what became known of its photos later contradicts it.
+
+    Attributes:
+        code: `evidence` or `late_exposure`, as for a rejected attempt.
+        reason: for the pilot, with figures.
+        photos: with the evidence that was decisive.
     """
 
     code: str

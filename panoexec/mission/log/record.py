@@ -169,6 +169,9 @@ class MissionRecord:
         self.open_loop = False
         self.certified: bool | None = None
         self.warnings: list[str] = []
+        self.reported_level = EvidenceLevel.COMMANDED
+        """Evidence that the camera gives of its photos by reports of its own: `FEEDBACK_PIN`, `CAPTURE_MESSAGE`, or
+        `COMMANDED` before its first report."""
         self.patch_rounds = 0
         self.asked = PendingCommands()
         self._done: set[int] = set()
@@ -251,8 +254,14 @@ class MissionRecord:
             shot = Shot(index=index, row=row, pitch_deg=pitch, yaw_deg=yaw)
             self.shots[index] = ShotRecord(shot=shot, patch=True)
 
+    def _note_reports(self, photos: Sequence[ev.Photo]) -> None:
+        best = max((photo.evidence for photo in photos), default=EvidenceLevel.COMMANDED)
+        if best >= EvidenceLevel.FEEDBACK_PIN:  # whether the file is seen does not depend on the camera
+            self.reported_level = max(self.reported_level, min(best, EvidenceLevel.CAPTURE_MESSAGE))
+
     def _apply_shot(self, event: ev.ShotEvent) -> None:
         record = self.shots[event.shot]
+        self._note_reports(getattr(event, "photos", ()))
         match event:
             case ev.ShotStarted():
                 if record.open_attempt is not None or event.attempt != len(record.attempts) + 1:
@@ -281,18 +290,34 @@ class MissionRecord:
                 attempt.verdict, attempt.by, attempt.photos = Verdict.ACCEPTED, event.by, event.photos
                 record.status, record.reason = ShotStatus.ACCEPTED, ""
                 self.last_accepted = event.shot
-                self._done.add(event.shot)  # final: an accepted shot can be repeated but not revoked
+                self._done.add(event.shot)
             case ev.ShotRejected():
                 attempt = self._open(event)
                 attempt.verdict, attempt.code, attempt.reason = Verdict.REJECTED, event.code, event.reason
                 attempt.photos = event.photos or attempt.photos
                 record.status, record.reason = ShotStatus.PENDING, event.reason
+            case ev.ShotRevoked():
+                self._revoke(event, record)
             case ev.ShotInterrupted():
                 attempt = self._open(event)
                 attempt.verdict, attempt.reason = Verdict.INTERRUPTED, event.reason
                 record.status = ShotStatus.PENDING
             case _:
                 self._apply_decision(event, record)
+
+    def _revoke(self, event: ev.ShotRevoked, record: ShotRecord) -> None:
+        attempt = record.attempts[event.attempt - 1] if 1 <= event.attempt <= len(record.attempts) else None
+        if attempt is None or attempt.verdict is not Verdict.ACCEPTED:
+            raise ValueError(f"shot {event.shot}: attempt {event.attempt} is revoked, but was not accepted")
+        attempt.verdict, attempt.by, attempt.code, attempt.reason = Verdict.REJECTED, "", event.code, event.reason
+        attempt.photos = event.photos or attempt.photos
+        if record.accepted is not None:  # an earlier photo still counts
+            return
+        self._done.discard(event.shot)
+        if self.last_accepted == event.shot:
+            self.last_accepted = None
+        if record.open_attempt is None:
+            record.status, record.reason = ShotStatus.PENDING, event.reason
 
     def _apply_decision(self, event: ev.ShotEvent, record: ShotRecord) -> None:
         match event:

@@ -42,6 +42,7 @@ _CAPABILITIES = bitmask(
 _CELLS = 4
 _CURRENT_CA = 1800
 _UNKNOWN_CELL = 65535
+_UNKNOWN_DOP = 65535
 
 
 class Telemetry:
@@ -57,6 +58,8 @@ class Telemetry:
         airframe: Airframe,
         heading_error_deg: Callable[[], float],
         modes: FlightModes,
+        has_fix: Callable[[], bool] = lambda: True,
+        has_position: Callable[[], bool] = lambda: True,
     ) -> None:
         self._config = config
         self._clock = clock
@@ -65,6 +68,8 @@ class Telemetry:
         self._airframe = airframe
         self._heading_error_deg = heading_error_deg
         self._modes = modes
+        self._has_fix = has_fix
+        self._has_position = has_position
         self._noise: random.Random = seeded(config.seed, "telemetry")
 
     def builders(self) -> dict[int, Builder]:
@@ -86,6 +91,8 @@ class Telemetry:
         }
         if self._config.autopilot == "ardupilot":
             ids["EKF_STATUS_REPORT"] = self.ekf_status
+        else:
+            ids["ESTIMATOR_STATUS"] = self.estimator_status
         return {getattr(mavlink, f"MAVLINK_MSG_ID_{name}"): build for name, build in ids.items()}
 
     def heartbeat(self) -> Message:
@@ -176,17 +183,18 @@ class Telemetry:
         """GPS_RAW_INT (24)."""
         p = self._airframe.position()
         north, east, _ = p.velocity_m_s
+        fix = self._has_fix()
         return mavlink.MAVLink_gps_raw_int_message(
             round(self._clock.utc(self._now()) * 1e6),
-            mavlink.GPS_FIX_TYPE_3D_FIX,
+            mavlink.GPS_FIX_TYPE_3D_FIX if fix else mavlink.GPS_FIX_TYPE_NO_FIX,
             round(p.latitude_deg * 1e7),
             round(p.longitude_deg * 1e7),
             round(p.altitude_m * 1e3),
-            80,
-            120,
+            80 if fix else _UNKNOWN_DOP,
+            120 if fix else _UNKNOWN_DOP,
             round(math.hypot(north, east) * 100),
             round(math.degrees(math.atan2(east, north)) % 360 * 100) % 36000,
-            14,
+            14 if fix else 0,
         )
 
     def vfr_hud(self) -> Message:
@@ -209,7 +217,7 @@ class Telemetry:
         return mavlink.MAVLink_sys_status_message(
             _SENSORS,
             _SENSORS,
-            _SENSORS,
+            _SENSORS if self._has_fix() else _SENSORS & ~mavlink.MAV_SYS_STATUS_SENSOR_GPS,
             250,
             round(self._airframe.voltage_v * 1000),
             _CURRENT_CA if self._airframe.is_flying else 50,
@@ -261,7 +269,19 @@ class Telemetry:
 
     def ekf_status(self) -> Message:
         """EKF_STATUS_REPORT (193), ArduPilot's own."""
-        return mavlink.MAVLink_ekf_status_report_message(_EKF_OK, 0.02, 0.02, 0.02, 0.02, 0.0)
+        return mavlink.MAVLink_ekf_status_report_message(self._estimator_flags(), 0.02, 0.02, 0.02, 0.02, 0.0)
+
+    def estimator_status(self) -> Message:
+        """ESTIMATOR_STATUS (230), PX4's; its flags have the same bits."""
+        stamp_us = self._boot_ms() * 1000
+        return mavlink.MAVLink_estimator_status_message(
+            stamp_us, self._estimator_flags(), 0.02, 0.02, 0.02, 0.02, NAN, NAN, 0.5, 0.8
+        )
+
+    def _estimator_flags(self) -> int:
+        if self._has_position():
+            return _EKF_OK
+        return int(_EKF_OK & ~mavlink.EKF_POS_HORIZ_ABS | mavlink.EKF_CONST_POS_MODE)
 
     def autopilot_version(self) -> Message:
         """AUTOPILOT_VERSION (148)."""

@@ -41,6 +41,8 @@ _PX4_STREAMS = {
 _ACCEPTED = int(mavlink.MAV_RESULT_ACCEPTED)
 _DENIED = int(mavlink.MAV_RESULT_DENIED)
 _REBOOT_S = 3.0
+_ESTIMATOR_S = 8.0
+"""How long an estimator goes on without GPS; measured on ArduCopter."""
 _TO_DEVICE_S = {"ardupilot": 0.02, "px4": 0.1}
 _STATE_FOR_GIMBAL_US = 20_000
 
@@ -74,6 +76,8 @@ class Vehicle:
         self._heading_error_deg: Callable[[], float] = lambda: physics.heading_error_deg
         self._boot_s = 0.0
         self._silent_until_s = -math.inf
+        self._gps_lost_s = math.inf
+        self._estimator_failed = False
         self.airframe = airframe
         self.modes = FlightModes(config.autopilot)
         self._links = {"ground": ground, "payload": payload}
@@ -87,6 +91,8 @@ class Vehicle:
             airframe=airframe,
             heading_error_deg=self._heading_error_deg,
             modes=self.modes,
+            has_fix=lambda: math.isinf(self._gps_lost_s),
+            has_position=lambda: not self._estimator_failed,
         )
         self._ground = self._component(ground)
         self._payload = self._component(payload)
@@ -164,6 +170,18 @@ class Vehicle:
             self._start_streams()
 
         self._timeline.at(self._silent_until_s, up)
+
+    def lose_gps(self, *, lost: bool) -> None:
+        """The GPS has no fix, or has one (again); the estimator's failsafe lands after `_ESTIMATOR_S` without it."""
+        now_s = self._timeline.now_s
+        if not lost:
+            self._gps_lost_s, self._estimator_failed = math.inf, False
+            return
+        self._gps_lost_s = min(self._gps_lost_s, now_s)
+        if not self._estimator_failed and now_s - self._gps_lost_s >= _ESTIMATOR_S:
+            self._estimator_failed = True
+            self.modes.set(self.modes.land_mode)
+            self.airframe.land()
 
     def receive_ground(self, message: Message, frame: bytes) -> None:
         """Handle a message from the ground."""

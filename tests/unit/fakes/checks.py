@@ -8,7 +8,7 @@ from panoexec.angles import rotation, rotation_from_quaternion
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import MissionRecord, ShotStatus, Verdict
 from panoexec.mission.log.states import ENDED, TRANSITIONS, MissionState
-from panoexec.mission.pointing.poses import readings_since
+from panoexec.mission.pointing.poses import read_pose
 from panoexec.planning.geometry.pose_error import pose_error
 from tests.unit.fakes.world import World
 
@@ -103,8 +103,9 @@ def check_accepted(world: World, record: MissionRecord) -> None:
                 if photo.image_index < 0 or attempt.by == "overlap":
                     continue
                 taken = world.camera.photos[photo.image_index]
-                samples = readings_since(world.gimbal.feed, taken.exposed_s - 0.1, record.reference_yaw_north_deg)
-                during = [r for r in samples if r.time_s <= taken.ended_s]
+                feed, north = world.gimbal.feed, record.reference_yaw_north_deg
+                samples = [s for s in feed.since(taken.exposed_s - 0.1) if s.received_s <= taken.ended_s]
+                during = [read_pose(sample, feed.vehicle_attitude_at(sample), north) for sample in samples]
                 assert during, "accepted without samples"
                 for reading in during[-3:]:
                     assert reading.rotation is not None

@@ -116,7 +116,7 @@ class FakeGimbal:
     frame: YawFrame = YawFrame.EARTH
     tells_rate: bool = True
     limits: GimbalLimits | None = field(default_factory=GimbalLimits)
-    in_control: bool = False
+    ours: bool = False
     # faults
     drift: Callable[[float], Angles] | None = None
     silent: bool = False
@@ -135,6 +135,11 @@ class FakeGimbal:
     # what happened
     other: tuple[int, int] = (255, 190)
     """Who has control while we have not; (0, 0): nobody."""
+    unknown: bool = False
+    """The manager has not said who has control since a link gap; it answers the next time that it is asked."""
+    mute_manager: bool = False
+    """The manager does not answer the question."""
+    asked: int = 0
     acquire_s: float = 0.05
     commands: list[tuple[float, float, float]] = field(default_factory=list)
     nose: Callable[[float], float] | None = None
@@ -215,8 +220,21 @@ class FakeGimbal:
                 self.feed.push(self._under_way.popleft())
 
     @property
+    def in_control(self) -> bool:
+        return self.ours and not self.unknown
+
+    @in_control.setter
+    def in_control(self, ours: bool) -> None:
+        self.ours, self.unknown = ours, False
+
+    @property
     def controlled_by(self) -> tuple[int, int] | None:
-        return (1, 191) if self.in_control else self.other
+        return None if self.unknown else (1, 191) if self.ours else self.other
+
+    async def ask_control(self) -> None:
+        self.asked += 1
+        await self.clock.sleep(0.02)
+        self.unknown = self.unknown and self.mute_manager
 
     async def acquire(self) -> None:
         await self.clock.sleep(self.acquire_s)
@@ -238,7 +256,7 @@ class FakeGimbal:
         if self.refusals > 0:
             self.refusals -= 1
             raise DeviceError("the gimbal refused the angles")
-        if not self.in_control:
+        if not self.ours:
             raise DeviceError("gimbal control was lost")
         now = self.clock.monotonic()
         self.commands.append((now, pitch_deg, math.nan if yaw_deg is None else yaw_deg))

@@ -66,6 +66,9 @@ class _Gimbal:
     def controlled_by(self) -> tuple[int, int] | None:
         return self._real.controlled_by
 
+    async def ask_control(self) -> None:
+        await self._real.ask_control()
+
     async def acquire(self) -> None:
         if not self._process.dead:
             await self._real.acquire()

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import random
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+
 import pytest
 
 from panoexec.mission.executor import Mission
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.mission_requests import CommandRefusedError
-from panoexec.mission.settings import GuardSettings
+from panoexec.mission.settings import GuardSettings, MissionSettings
 from tests.unit.fakes.flying import fly, until_event
-from tests.unit.fakes.world import World, some_settings
+from tests.unit.fakes.world import World, a_plan, some_settings
 
 S = MissionState
 NEVER = some_settings(guards=GuardSettings(reclaim="never", allowed_modes=("OFFBOARD", "HOLD")))
@@ -38,18 +42,108 @@ def test_a_gimbal_that_is_given_back_is_nobodys_and_can_be_taken_by_resuming(acq
     assert len(world.sink.of(ev.MissionPaused)) == 1
 
 
-def test_a_gimbal_that_nobody_has_any_more_holds_all_the_same() -> None:
-    """As after a reboot of its manager."""
+@pytest.mark.parametrize("settings", [NEVER, some_settings()])
+def test_a_gimbal_that_nobody_has_any_more_is_acquired_again(settings: MissionSettings) -> None:
+    """As after a reboot of its manager: nobody took it, so nobody has to give it back."""
 
     async def script(world: World, mission: Mission) -> None:
         await until_event(world, ev.ShotStarted, 2)
         world.gimbal.in_control, world.gimbal.other = False, (0, 0)
-        await until_event(world, ev.MissionPaused)
+
+    world = fly(script, settings=settings)
+    assert world.record.state is S.COMPLETE
+    assert [(event.code, event.automatic) for event in world.sink.of(ev.MissionPaused)] == [("gimbal_lost", True)]
+    assert world.sink.of(ev.MissionResumed)[0].paused_s < 2.0
+    assert world.gimbal.acquired == 2
+
+
+def test_a_manager_that_refuses_what_nobody_has_is_asked_again_and_again() -> None:
+    async def script(world: World, mission: Mission) -> None:
+        await until_event(world, ev.ShotStarted, 2)
+        world.gimbal.in_control, world.gimbal.other, world.gimbal.refuse_control = False, (0, 0), 3
+
+    world = fly(script, settings=NEVER)
+    assert world.record.state is S.COMPLETE
+    assert world.gimbal.acquired == 2
+    assert all(event.automatic for event in world.sink.of(ev.MissionPaused))
+
+
+def gap(world: World, *, lost_s: float, after: Callable[[World], None] = lambda _: None) -> Awaitable[None]:
+    """No heartbeat for a while; then who has control is unknown until the manager has answered."""
+
+    async def pass_by() -> None:
+        world.vehicle.change(connected=False)
+        await world.clock.sleep(lost_s)
+        after(world)
+        world.gimbal.unknown = True
+        world.vehicle.change(connected=True)
+
+    return pass_by()
+
+
+@pytest.mark.parametrize("settings", [NEVER, some_settings()])
+@pytest.mark.parametrize("lost_s", [0.05, 3.0, 15.0])
+def test_unknown_control_holds_the_mission_only_until_the_manager_has_answered(
+    settings: MissionSettings, lost_s: float
+) -> None:
+    async def script(world: World, mission: Mission) -> None:
+        await until_event(world, ev.ShotStarted, 2)
+        world.gimbal.mute_manager = True
+        await gap(world, lost_s=lost_s)
+        await world.clock.sleep(4.0)
+        assert mission.record.state is S.PAUSED
+        assert "asking its manager" in mission.record.reason
+        asked = world.gimbal.asked
+        assert asked >= 3
+        world.gimbal.mute_manager = False
+
+    world = fly(script, settings=settings)
+    assert world.record.state is S.COMPLETE
+    assert world.gimbal.acquired == 1, "it was ours all the time"
+    assert all(event.automatic for event in world.sink.of(ev.MissionPaused))
+
+
+def test_control_that_was_unknown_and_is_another_stations_waits_for_the_operator() -> None:
+    def stolen(world: World) -> None:
+        world.gimbal.in_control = False
+
+    async def script(world: World, mission: Mission) -> None:
+        await until_event(world, ev.ShotStarted, 2)
+        await gap(world, lost_s=4.0, after=stolen)
         await world.clock.sleep(5.0)
         assert mission.record.state is S.PAUSED
+        assert "another station took control" in mission.record.reason
+        await gap(world, lost_s=4.0)  # the next gap changes nothing in that
+        await world.clock.sleep(5.0)
+        assert mission.record.state is S.PAUSED
+        assert world.gimbal.acquired == 1
+        world.gimbal.other = (0, 0)
+        await world.clock.sleep(0.5)
         mission.commands.resume()
 
-    assert fly(script, settings=NEVER).record.state is S.COMPLETE
+    world = fly(script, settings=NEVER)
+    assert world.record.state is S.COMPLETE
+    assert world.gimbal.acquired == 2
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_no_gap_needs_a_human(seed: int) -> None:
+    """Gaps of 0.1 to 120 s at any moment, with the control kept, or lost to nobody as by a reboot."""
+    rng = random.Random(seed)
+
+    def dropped(world: World) -> None:
+        world.gimbal.in_control, world.gimbal.other = False, (0, 0)
+
+    async def script(world: World, mission: Mission) -> None:
+        for number in range(5):
+            await until_event(world, ev.ShotStarted, 2 * number + 1)
+            await world.clock.sleep(rng.random())
+            after = dropped if rng.random() < 0.3 else lambda _: None
+            await gap(world, lost_s=0.1 * 1200 ** rng.random(), after=after)
+
+    world = fly(script, settings=replace(NEVER, max_pause_s=200.0), plan=a_plan(12))
+    assert world.record.state is S.COMPLETE
+    assert all(event.automatic for event in world.sink.of(ev.MissionPaused))
 
 
 @pytest.mark.parametrize("moment", ["first", "after a pause"])

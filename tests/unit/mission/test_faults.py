@@ -86,7 +86,7 @@ class TestFaults:
             await until_event(world, ev.ShotStarted, 2)
             world.gimbal.in_control = False
             await until_event(world, ev.MissionPaused)
-            assert "another station took it" in mission.record.reason
+            assert "another station took control" in mission.record.reason
 
         world = fly(script)
         assert world.record.state is S.COMPLETE

@@ -12,6 +12,8 @@ from panoexec.mission.guards import (
     AttitudeGuard,
     BatteryGuard,
     ControlGuard,
+    FixGuard,
+    GimbalControl,
     Guard,
     LandedGuard,
     LinkGuard,
@@ -39,11 +41,13 @@ WELL = Situation(
         battery_frac=0.8,
     ),
     sample_age_s=0.02,
-    in_control=True,
+    control=GimbalControl.OURS,
     expects_control=True,
     origin=(47.0, 8.0, 500.0),
     storage_free_images=100.0,
 )
+TAKEN = replace(WELL, holding=frozenset({"gimbal_control"}))
+C = GimbalControl
 MODES = ModeGuard(("HOLD", "OFFBOARD"))
 
 
@@ -57,11 +61,16 @@ def _vehicle(**changes: object) -> Situation:
         (LinkGuard(), _vehicle(connected=False), "link", "no heartbeat", True, False),
         (AttitudeGuard(1.0), replace(WELL, sample_age_s=1.2), "attitude", "for 1.2 s", True, False),
         (AttitudeGuard(1.0), replace(WELL, sample_age_s=math.inf), "attitude", "no attitude yet", True, False),
-        (ControlGuard(True), replace(WELL, in_control=False), "gimbal_control", "requesting it back", True, False),
-        (ControlGuard(False), replace(WELL, in_control=False), "gimbal_control", "and resume", False, False),
+        (ControlGuard(True), replace(WELL, control=C.ANOTHERS), "gimbal_control", "requesting it back", True, False),
+        (ControlGuard(False), replace(WELL, control=C.ANOTHERS), "gimbal_control", "and resume", False, False),
+        (ControlGuard(False), replace(WELL, control=C.UNKNOWN), "gimbal_unknown", "asking its manager", True, False),
+        (ControlGuard(False), replace(WELL, control=C.NOBODYS), "gimbal_lost", "acquiring it again", True, False),
+        (ControlGuard(False), replace(TAKEN, control=C.UNKNOWN), "gimbal_control", "and resume", False, False),
+        (ControlGuard(True), replace(TAKEN, control=C.NOBODYS), "gimbal_lost", "acquiring it again", True, False),
         (MODES, _vehicle(mode="STABILIZED"), "pilot", "mode STABILIZED; allowed: HOLD, OFFBOARD", False, True),
         (LandedGuard(), _vehicle(in_air=False), "landed", "not in the air", False, True),
         (BatteryGuard(0.25), _vehicle(battery_frac=0.2), "battery", "battery at 20 %, floor 25 %", False, True),
+        (FixGuard(), _vehicle(position_doubts=("no 3D fix", "x")), "fix", "not reliable: no 3D fix, x", True, False),
         (StorageGuard(1), replace(WELL, storage_free_images=0.0), "storage", "storage is full", True, False),
     ],
 )
@@ -78,12 +87,15 @@ def test_what_is_wrong_is_said(
 @pytest.mark.parametrize(
     ("guard", "situation"),
     [
-        (ControlGuard(True), replace(WELL, in_control=False, expects_control=False)),
-        (ControlGuard(True), replace(_vehicle(connected=False), in_control=False)),
+        (ControlGuard(True), replace(WELL, control=C.ANOTHERS, expects_control=False)),
+        (ControlGuard(True), replace(_vehicle(connected=False), control=C.UNKNOWN)),
+        (ControlGuard(False), replace(TAKEN, control=C.NOBODYS)),
         (MODES, _vehicle(mode="")),
         (MODES, _vehicle(mode="STABILIZED", connected=False)),
         (LandedGuard(), _vehicle(in_air=False, connected=False)),
         (BatteryGuard(0.25), _vehicle(battery_frac=NAN)),
+        (FixGuard(), _vehicle(position_doubts=("no 3D fix",), connected=False)),
+        (FixGuard(), replace(_vehicle(position_doubts=("no 3D fix",)), origin=(NAN, NAN, NAN))),
         (PositionGuard(3.0, 0.7), _vehicle(latitude_deg=NAN)),
         (PositionGuard(3.0, 0.7), replace(WELL, origin=(NAN, NAN, NAN))),
         (StorageGuard(3), replace(WELL, storage_free_images=math.inf)),
@@ -124,6 +136,7 @@ def test_settings_choose_the_guards() -> None:
         ModeGuard,
         LandedGuard,
         BatteryGuard,
+        FixGuard,
         PositionGuard,
     }
     off = GuardSettings(battery_floor_frac=0.0, position_drift_m=math.inf, allowed_modes=(), position_hold=False)

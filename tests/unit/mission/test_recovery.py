@@ -76,8 +76,15 @@ def open_shutter(count: int) -> Moment:
     )
 
 
-def a_camera(*, remembers: bool = False, counts: bool = False, proof_after_s: float = 0.6) -> Callable[[World], None]:
+def a_camera(
+    *,
+    remembers: bool = False,
+    counts: bool = False,
+    proof_after_s: float = 0.6,
+    level: EvidenceLevel = EvidenceLevel.CAPTURE_MESSAGE,
+) -> Callable[[World], None]:
     def prepare(world: World) -> None:
+        world.camera.level = level
         world.camera.remembers, world.camera.counts = remembers, counts
         world.camera.proof_after_s = proof_after_s
 
@@ -98,10 +105,36 @@ def test_a_photo_whose_pose_was_on_disk_counts_when_the_camera_remembers_it() ->
 
 
 def test_the_count_tells_of_a_photo_where_the_camera_tells_no_times() -> None:
-    two = killed_when(exposed(2), a_camera(counts=True))
+    two = killed_when(exposed(2), a_camera(counts=True, level=EvidenceLevel.COUNTED))
     assert len(two.world.camera.photos) == 4
     accepted = two.second_life(ev.ShotAccepted)[0]
     assert (accepted.shot, accepted.photos[0].evidence) == (1, EvidenceLevel.COUNTED)
+
+
+def test_the_count_does_not_prove_a_photo_of_a_camera_that_reported_the_one_before() -> None:
+    two = killed_when(exposed(2), a_camera(counts=True))
+    rejected = two.second_life(ev.ShotRejected)[0]
+    assert (rejected.shot, rejected.code) == (1, "crash")
+    assert len(two.world.camera.photos) == 5
+    assert two.record.state is S.COMPLETE
+
+
+def test_a_photo_that_was_counted_before_the_first_report_is_taken_again_after_a_restart() -> None:
+    """The first process accepted shot 0 by the count and was killed just after the camera's first report of shot 1."""
+
+    def prepare(world: World) -> None:
+        a_camera(counts=True, level=EvidenceLevel.COUNTED)(world)
+
+    def reported(world: World) -> bool:
+        if len(world.sink.of(ev.ShotAccepted)) == 1:
+            world.camera.level = EvidenceLevel.CAPTURE_MESSAGE
+        return any(e.photos[0].evidence >= EvidenceLevel.CAPTURE_MESSAGE for e in world.sink.of(ev.ShotAccepted))
+
+    two = killed_when(reported, prepare)
+    revoked = [event for event in two.world.journal.events if isinstance(event, ev.ShotRevoked)]
+    assert [(event.shot, event.attempt, event.code) for event in revoked] == [(0, 1, "evidence")]
+    assert two.record.state is S.COMPLETE
+    assert [attempt.verdict for attempt in two.record.shots[0].attempts] == [Verdict.REJECTED, Verdict.ACCEPTED]
 
 
 def test_a_count_that_somebody_else_may_have_raised_proves_nothing() -> None:
@@ -158,7 +191,8 @@ def test_without_a_memory_the_photo_is_taken_again_once() -> None:
 
 def test_acknowledgement_is_proof_enough_where_no_more_is_asked_for() -> None:
     # the verdict of the first life never reached the disk, the exposure with its acknowledgement did
-    two = killed_when(exposed(2), a_camera(), min_evidence=EvidenceLevel.ACKNOWLEDGED)
+    camera = a_camera(level=EvidenceLevel.ACKNOWLEDGED)
+    two = killed_when(exposed(2), camera, min_evidence=EvidenceLevel.ACKNOWLEDGED)
     assert len(two.world.camera.photos) == 4
     assert two.record.state is S.COMPLETE
 

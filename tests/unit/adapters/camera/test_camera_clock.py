@@ -51,9 +51,23 @@ def test_two_messages_after_a_step_relate_the_clocks_anew(step_s: float) -> None
     for again_s in (40.0, 40.1):
         clock.note(500.0 + again_s + step_s, again_s + 0.02)
     assert clock.steps == 1
-    found_s, error_s = clock.date(541.0 + step_s, 45.0)
+    found_s, error_s = clock.date(541.0 + step_s, 52.0)
     assert found_s == pytest.approx(41.0, abs=error_s)
     assert error_s < 0.1
+
+
+@pytest.mark.parametrize(("step_s", "is_dated"), [(-3.0, False), (3.0, True)])
+def test_a_stamp_that_may_be_from_before_a_step_and_from_after_it_is_not_dated(step_s: float, is_dated: bool) -> None:
+    clock = CameraClock()
+    for sent_s in range(0, 40, 4):
+        clock.note(500.0 + sent_s, sent_s + 0.02)
+    for again_s in (40.0, 40.1):
+        clock.note(500.0 + again_s + step_s, again_s + 0.02)
+    # 41 s by the clock as it is now; by the clock before a step back 38 s, by the one before a step forward 44 s
+    assert math.isfinite(clock.date(541.0 + step_s, 42.0)[0]) is is_dated
+    # a report of a photo from before the step that was long under way
+    found_s, error_s = clock.date(535.0, 42.0)
+    assert math.isnan(found_s) or found_s == pytest.approx(35.0, abs=error_s)
 
 
 def test_one_message_that_was_held_up_is_no_step() -> None:
@@ -145,12 +159,12 @@ def test_a_contradiction_ends_when_the_report_finds_its_trigger() -> None:
     for capture, commanded_s in zip(captures, (10.0, 12.0), strict=True):
         capture.commanded(commanded_s)
         matcher.enter(capture)
-    # the camera's clock was stepped back by 5 s before the second photo
-    evidence = CaptureEvidence(level=CAPTURED, received_s=12.4, image_index=2, exposed_vehicle_s=7.1)
-    assert matcher.report(dated(Report(source=Source.CAPTURED, evidence=evidence), *clock.date(7.1, 12.4))) is None
+    # the camera's clock was stepped back by 11 s before the second photo
+    evidence = CaptureEvidence(level=CAPTURED, received_s=12.4, image_index=2, exposed_vehicle_s=1.1)
+    assert matcher.report(dated(Report(source=Source.CAPTURED, evidence=evidence), *clock.date(1.1, 12.4))) is None
     assert [capture.contradicted for capture in captures] == [True, True]
     for sent_s in (12.5, 12.6):
-        clock.note(sent_s - 5.0, sent_s + 0.01)
+        clock.note(sent_s - 11.0, sent_s + 0.01)
     matcher.redate(12.7)
     assert captures[1].known.image_index == 2
     assert [capture.contradicted for capture in captures] == [False, False]

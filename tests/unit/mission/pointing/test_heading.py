@@ -12,7 +12,7 @@ import pytest
 
 from panoexec.angles import wrap_180
 from panoexec.mission.executor import Mission
-from panoexec.mission.guards import Situation, TurnGuard
+from panoexec.mission.guards import GimbalControl, Situation, TurnGuard
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import Verdict
 from panoexec.mission.log.states import MissionState
@@ -214,7 +214,7 @@ def test_the_guard_speaks_only_while_a_turn_is_needed() -> None:
         now_s=0.0,
         vehicle=replace(vehicle, mode="HOLD"),
         sample_age_s=0.0,
-        in_control=True,
+        control=GimbalControl.OURS,
         expects_control=True,
         origin=(0.0, 0.0, 0.0),
         storage_free_images=10,

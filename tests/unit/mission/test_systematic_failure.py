@@ -1,0 +1,172 @@
+"""The same failure at several shots in a row pauses the mission; gusts, drifts and single refusals do not."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from panoexec.mission.attempt_result import Offset
+from panoexec.mission.executor import Mission
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.states import MissionState
+from panoexec.mission.systematic_failure import ATTEMPTS, SystematicFailure
+from panoexec.planning.model import Shot, Tolerance
+from tests.unit.fakes.flying import fly, until_event
+from tests.unit.fakes.world import World, a_plan, some_settings
+
+S = MissionState
+TOLERANCE = Tolerance(pitch_deg=0.1, roll_deg=0.1, yaw_deg=0.5)
+DENIED = "photo 1 of 1: taking a photo: denied"
+
+
+def shot(index: int, yaw_deg: float | None = None) -> Shot:
+    return Shot(index=index, row=0, pitch_deg=0.0, yaw_deg=30.0 * index if yaw_deg is None else yaw_deg)
+
+
+def refused(failures: SystematicFailure, index: int, reason: str = DENIED, code: str = "trigger") -> bool:
+    return failures.rejected(shot(index), code=code, reason=reason) is not None
+
+
+def missed(failures: SystematicFailure, index: int, yaw_deg: float, pitch_deg: float = 0.0) -> bool:
+    offset = Offset(pitch_deg=pitch_deg, roll_deg=0.0, yaw_deg=yaw_deg)
+    return failures.rejected(shot(index), code="not_settled", reason="off", offset=offset) is not None
+
+
+def test_a_run_needs_both_shots_and_attempts() -> None:
+    failures = SystematicFailure(TOLERANCE)
+    assert [refused(failures, i // 3) for i in range(9)] == [False] * 7 + [True] * 2  # 3 attempts a shot
+    failures.reset()
+    assert [refused(failures, i) for i in range(8)] == [False] * 7 + [True]  # 1 attempt a shot
+    failures.reset()
+    assert not any(refused(failures, i % 2) for i in range(60)), "two shots say nothing about the others"
+    assert failures.shots == (0, 1)
+
+
+def test_anything_else_in_between_begins_the_run_anew() -> None:
+    failures = SystematicFailure(TOLERANCE)
+    for index in range(7):
+        assert not refused(failures, index)
+    assert not refused(failures, 7, reason="photo 1 of 1: taking a photo: not answered")
+    assert not refused(failures, 8)
+    assert list(failures.shots) == [8]
+    assert failures.rejected(shot(9), code="no_samples", reason="a gap") is None
+    assert not failures.shots
+
+
+def test_figures_in_a_reason_do_not_matter() -> None:
+    failures = SystematicFailure(TOLERANCE)
+    reasons = [f"pointing the gimbal at pitch -{i}.5° yaw {40 * i}.0°: denied" for i in range(8)]
+    assert [refused(failures, i, reasons[i], "gimbal") for i in range(8)] == [False] * 7 + [True]
+
+
+def test_an_offset_must_be_the_same_in_sign_size_and_axes() -> None:
+    failures = SystematicFailure(TOLERANCE)
+    assert [missed(failures, i, 60.0 + 0.3 * (-1) ** i) for i in range(8)] == [False] * 7 + [True]
+    for other in ((-60.0, 0.0), (30.0, 0.0), (60.0, 0.4), (0.4, 0.0)):  # sign, size, another axis, inside tolerance
+        failures.reset()
+        assert not any(missed(failures, i, 60.0) for i in range(7))
+        assert not missed(failures, 7, *other)
+
+
+def test_a_nose_that_is_pushed_aside_at_one_heading_is_not_systematic() -> None:
+    """Three rows at one heading share its steady error in wind; the other headings have other ones."""
+    failures = SystematicFailure(TOLERANCE, vehicle_pans=True)
+    offset = Offset(pitch_deg=0.0, roll_deg=0.0, yaw_deg=-1.5)
+    for number in range(30):
+        found = failures.rejected(shot(number % 4, yaw_deg=90.0), code="pointing", reason="off", offset=offset)
+        assert found is None
+    for index, yaw_deg in ((5, 180.0), (6, -90.0)):
+        found = failures.rejected(shot(index, yaw_deg=yaw_deg), code="pointing", reason="off", offset=offset)
+    assert found is not None
+    assert "yaw -1.50°" in found.reason
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_random_failures_do_not_pause(seed: int) -> None:
+    """A fifth of the triggers is refused, and gusts push by random angles: 1000 shots of three attempts each."""
+    rng, failures = random.Random(seed), SystematicFailure(TOLERANCE)
+    paused = 0
+    for index in range(1000):
+        for _ in range(3):
+            if rng.random() < 0.2:
+                paused += refused(failures, index)
+            elif rng.random() < 0.5:
+                paused += missed(failures, index, rng.gauss(0.0, 1.0), rng.gauss(0.0, 0.3))
+            else:
+                failures.reset()
+                break
+    assert paused == 0
+
+
+def test_a_camera_in_video_mode_pauses_after_three_shots_and_again_after_a_resume() -> None:
+    refusals = 10_000
+
+    async def script(world: World, mission: Mission) -> None:
+        await until_event(world, ev.MissionPaused)
+        assert mission.record.attempts == ATTEMPTS
+        assert "refused to take a photo" in mission.record.reason
+        assert "check the camera" in mission.record.reason
+        await world.clock.sleep(20.0)
+        assert mission.record.state is S.PAUSED, "it does not resume by itself"
+        mission.commands.resume()  # nothing was changed
+        await until_event(world, ev.MissionPaused, 2)
+        assert mission.record.attempts == 2 * ATTEMPTS
+        started = [event.shot for event in world.sink.of(ev.ShotStarted)]
+        assert started == [0, 0, 0, 1, 1, 1, 2, 2] * 2, "resume tries the shots that failed"
+        world.camera.refusals = 0  # photo mode
+        mission.commands.resume()
+
+    def prepare(world: World) -> None:
+        world.camera.refusals = refusals
+
+    world = fly(script, prepare, plan=a_plan(12), settings=some_settings(max_pause_s=60.0))
+    assert world.record.state is S.COMPLETE
+    paused = world.sink.of(ev.MissionPaused)
+    assert [(event.code, event.automatic) for event in paused] == [("camera", False)] * 2
+    assert len(world.sink.of(ev.ShotMissed)) == 0
+    assert len(world.camera.photos) == 12
+
+
+def test_a_pause_by_a_systematic_failure_can_be_resumed_at_once_and_finished() -> None:
+    async def script(world: World, mission: Mission) -> None:
+        await until_event(world, ev.MissionPaused)
+        mission.commands.resume()
+        await until_event(world, ev.MissionPaused, 2)
+        mission.commands.finish()
+
+    world = fly(script, lambda w: setattr(w.camera, "refusals", 10_000), plan=a_plan(12))
+    assert world.record.state is S.INCOMPLETE
+    assert len(world.record.missing()) == 12
+
+
+@pytest.mark.parametrize(
+    ("drift", "text"),
+    [
+        (lambda _: (60.0, 0.0, 0.0), "yaw +"),
+        (lambda _: (0.0, -0.4, 0.0), "pitch -0."),
+    ],
+)
+def test_a_gimbal_that_is_off_by_the_same_angle_everywhere_pauses(
+    drift: Callable[[float], tuple[float, float, float]], text: str
+) -> None:
+    async def script(world: World, mission: Mission) -> None:
+        await until_event(world, ev.MissionPaused)
+        assert text in mission.record.reason
+        assert "calibrate" in mission.record.reason
+        world.gimbal.drift = None
+        mission.commands.resume()
+
+    world = fly(script, lambda w: setattr(w.gimbal, "drift", drift), plan=a_plan(12))
+    assert world.record.state is S.COMPLETE
+    assert [event.code for event in world.sink.of(ev.MissionPaused)] == ["offset"]
+    assert len(world.sink.of(ev.ShotRejected)) == ATTEMPTS
+
+
+def test_a_stuck_gimbal_misses_each_target_by_another_angle() -> None:
+    settings = replace(some_settings(), attempts=1, rounds=2)
+    world = fly(prepare=lambda w: setattr(w.gimbal, "stuck", True), plan=a_plan(12), settings=settings)
+    assert world.record.state is S.INCOMPLETE
+    assert not world.sink.of(ev.MissionPaused)
