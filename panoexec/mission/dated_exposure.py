@@ -52,7 +52,7 @@ class ShutterLag:
     def note(self, found: CaptureEvidence, commanded_s: float) -> str:
         """Add the date of a photo; returns a warning for the operator, "" if there is none."""
         if is_undatable(found):
-            report_s = found.reported_s - commanded_s  # the shutter opened before the report: wait for that long
+            report_s = found.received_s - commanded_s  # the shutter opened before the report: wait for that long
             if 0 <= report_s <= _MAX_LAG_S:
                 self._measured_s.append(report_s)
             return ""
@@ -80,7 +80,8 @@ def is_dated(found: CaptureEvidence) -> bool:
 def is_undatable(found: CaptureEvidence) -> bool:
     """Whether a camera stamped its report with a time that cannot be related to the mission's clock well enough.
 
-    The camera's clock was stepped, or nothing related the two clocks.
+    The camera's clock was stepped, or nothing related the two clocks: all that is known is that the photo was exposed
+    between its trigger and its report.
     """
     stamped = found.level >= EvidenceLevel.CAPTURE_MESSAGE and math.isfinite(found.exposed_vehicle_s)
     return stamped and not is_dated(found)
@@ -93,36 +94,44 @@ def is_before(found: CaptureEvidence, commanded_s: float) -> bool:
 
 def has_window(found: CaptureEvidence) -> bool:
     """Whether something was reported that tells when a photo was exposed, however roughly."""
-    return math.isfinite(found.exposed_s) or (
-        found.level >= EvidenceLevel.CAPTURE_MESSAGE and math.isfinite(found.reported_s)
-    )
+    reported = found.level >= EvidenceLevel.CAPTURE_MESSAGE and math.isfinite(found.reported_s)
+    return math.isfinite(found.exposed_s) or reported or is_undatable(found)
+
+
+def _arrival_s(found: CaptureEvidence) -> float:
+    """When a photo was reported: it was exposed before that."""
+    return found.received_s if math.isnan(found.reported_s) else found.reported_s
 
 
 def window(found: CaptureEvidence, commanded_s: float, settings: MissionSettings) -> tuple[float, float]:
     """The interval in which a reported photo was exposed, bounds included, on the mission's clock.
 
     Not before its trigger; and not after its report, where the camera reports a photo that it has: that is all that a
-    report without a date says. Where only the trigger is dated (CAMERA_FEEDBACK without a pin, by its arrival), the
-    exposure follows within the bound.
+    report says which has no date, or one that cannot be believed. Where only the trigger is dated (CAMERA_FEEDBACK
+    without a pin, by its arrival), the exposure follows within the bound.
     """
-    if math.isnan(found.exposed_s):
-        return commanded_s, found.reported_s
+    if math.isnan(found.exposed_s) or is_undatable(found):
+        return commanded_s, _arrival_s(found)
     start_s = max(commanded_s, found.exposed_s - found.exposed_error_s)
     if found.level < EvidenceLevel.FEEDBACK_PIN:
         prompt = found.exposed_s - commanded_s <= found.exposed_error_s
         return start_s, (commanded_s if prompt else found.exposed_s) + settings.exposure_bound_s
     end_s = found.exposed_s + found.exposed_error_s + settings.exposure_s
     if found.level >= EvidenceLevel.CAPTURE_MESSAGE:
-        end_s = min(end_s, found.received_s if math.isnan(found.reported_s) else found.reported_s)
+        end_s = min(end_s, _arrival_s(found))
     return start_s, max(start_s, end_s)
 
 
 def when(found: CaptureEvidence, commanded_s: float) -> str:
-    """Text: how a photo's date lies outside the judged window."""
-    if math.isnan(found.exposed_s):
-        late_s = found.reported_s - commanded_s
-        return f"the photo is not dated, and was reported {late_s:.2f} s after its trigger, outside the judged window"
-    return f"exposed {found.exposed_s - commanded_s:.2f} s after its trigger, outside the judged window"
+    """When a photo was exposed, as far as its report tells, for a reason."""
+    if is_dated(found):
+        return f"exposed {found.exposed_s - commanded_s:.2f} s after its trigger"
+    late_s = _arrival_s(found) - commanded_s
+    if is_undatable(found):
+        return f"reported {late_s:.2f} s after its trigger with a time that cannot be dated"
+    if math.isfinite(found.exposed_s):
+        return f"exposed about {found.exposed_s - commanded_s:.1f} s after its trigger"
+    return f"the photo is not dated, and was reported {late_s:.2f} s after its trigger"
 
 
 def contradictions(found: Sequence[CaptureEvidence]) -> str:

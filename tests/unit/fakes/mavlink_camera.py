@@ -14,6 +14,8 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
+from panoexec.adapters.camera.camera_choice import CAPTURES_IMAGES
+from panoexec.adapters.camera.camera_discovery import CAMERA_INFORMATION
 from panoexec.adapters.camera.mavsdk_camera import MavsdkCamera
 from panoexec.adapters.camera.photo_recall import CAPTURE_STATUS, IMAGE_CAPTURED
 from panoexec.adapters.link.message_hub import Handler, MavMessage
@@ -216,8 +218,11 @@ class FakeLink:
 
     async def command(self, command: int, params: Sequence[float] = (), *, component: int = 1) -> int:
         del command, component
-        await self._reached()
         camera, (wanted, *more) = self.camera, params
+        if wanted == CAMERA_INFORMATION:
+            self.camera.dispatch("CAMERA_INFORMATION", camera.status() | {"flags": CAPTURES_IMAGES})
+            return 0
+        await self._reached()
         delay_s = camera.rng.uniform(0.005, 0.04)
         if wanted == CAPTURE_STATUS:
             fields = camera.status()
