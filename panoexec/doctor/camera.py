@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from typing import Final
 
-from panoexec.adapters.camera.camera_kind import CameraFound
+from panoexec.adapters.camera.camera_kind import CameraFound, OpenCamera
 from panoexec.adapters.camera.open_camera import KINDS, open_camera
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.devices import Camera, EvidenceLevel
@@ -19,18 +20,36 @@ _ENOUGH_PHOTOS: Final = 100
 _EVIDENCE_S: Final = 10.0
 
 
-async def check_camera(link: MavsdkLink, config: Config, findings: Findings, *, patience_s: float, photo: bool) -> None:
-    """Look for the camera that the configuration names; with `photo` take one to see what proves it."""
+async def check_camera(
+    link: MavsdkLink,
+    config: Config,
+    findings: Findings,
+    *,
+    patience_s: float,
+    photo: bool,
+    camera: OpenCamera | None = None,
+) -> None:
+    """Look for the camera that the configuration names; with `photo` take one to see what proves it.
+
+    Args:
+        link: to the autopilot.
+        config: the daemon's configuration.
+        findings: results are added to it.
+        patience_s: timeout for the camera, seconds of real time.
+        photo: take one photo.
+        camera: the open camera, which stays open; None: open the configured one.
+    """
+    opened = open_camera(config.camera, link) if camera is None else contextlib.nullcontext(camera)
     try:
-        async with open_camera(config.camera, link) as camera:
-            found = await camera.discover(patience_s)
+        async with opened as one:
+            found = await one.discover(patience_s)
             findings.ok("camera", "found", found.label)
             if found.is_two_way:
                 _examine_size(found, config, findings)
-                _examine_room(camera.storage_free_images, findings)
-            _examine_evidence(await camera.best_evidence(), config, findings, may_tell_files=found.may_tell_files)
+                _examine_room(one.storage_free_images, findings)
+            _examine_evidence(await one.best_evidence(), config, findings, may_tell_files=found.may_tell_files)
             if photo:
-                await _take_photo(camera, config, findings)
+                await _take_photo(one, config, findings)
     except DeviceError as error:
         kind = KINDS[config.camera.trigger]
         parameters = [advise("camera", findings.autopilot)] if kind.set_by_autopilot else []
