@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
 from panoexec.adapters.link.connection_url import ConnectionUrl
+from panoexec.adapters.link.file_urls import FileUrls
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import Clock
@@ -48,7 +49,7 @@ async def linked_vehicle(
     Raises:
         LinkError: the port is in use, or the device cannot be opened.
     """
-    section, feedback = config.vehicle, config.gimbal.feedback
+    section, camera, feedback = config.vehicle, config.camera, config.gimbal.feedback
     link = MavsdkLink(
         url,
         clock=clock,
@@ -56,6 +57,7 @@ async def linked_vehicle(
         vehicle_system_id=section.system_id,
         patient=patient,
         throttling=throttling,
+        files=FileUrls(folders=(config.storage.path / "missions", *camera.file_folders), hosts=camera.file_hosts),
     )
     async with (
         link,

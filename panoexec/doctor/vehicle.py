@@ -115,6 +115,14 @@ async def examine_vehicle(
         await check_camera(link, config, findings, patience_s=patience_s, photo=photo and not in_use, camera=camera)
         if photo and in_use:
             findings.note("camera", "photo", "not taken: a mission is under way")
+        if link.files.refused:
+            findings.warning(
+                "camera",
+                "file names",
+                link.files.refused,
+                needed="photos whose place is expected",
+                advice="[camera] file_folders for photos on this computer, file_hosts for those that a camera serves",
+            )
         await _examine_clock(link, findings)
         _examine_status(vehicle, config, findings)
     finally:
@@ -169,7 +177,12 @@ def _examine_components(link: MavsdkLink, findings: Findings) -> None:
         for component, (kind, _) in sorted(link.components.items())
         if component != AUTOPILOT
     ]
-    findings.note("link", "components", f"{', '.join(others) or 'none'} beside the autopilot")
+    elsewhere = [
+        f"{member.system}/{member.component} ({_COMPONENTS.get(member.kind, f'MAV_TYPE {member.kind}')})"
+        for member in link.identity.strangers
+    ]
+    beside = f"; of other systems: {', '.join(elsewhere)}" if elsewhere else ""
+    findings.note("link", "components", f"{', '.join(others) or 'none'} beside the autopilot{beside}")
     if link.has_id_conflict:
         system, component = link.own_ids
         findings.missing(

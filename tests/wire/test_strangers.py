@@ -135,9 +135,11 @@ async def test_messages_of_other_systems_reach_no_handler() -> None:
     """Reports that would prove a photo or a pose, told by another system over the same link."""
     names = ("ATTITUDE", "GLOBAL_POSITION_INT", "CAMERA_IMAGE_CAPTURED", "GIMBAL_DEVICE_ATTITUDE_STATUS")
     heard: list[tuple[str, int, int]] = []
+    urls: set[str] = set()
     async with listening(Autopilot("ardupilot", system=4)) as ours, MavsdkLink(ours.url, clock=CLOCK) as link:
         for name in names:
             link.on(name, lambda message: heard.append((message.name, message.system_id, message.component_id)))
+        link.on("CAMERA_IMAGE_CAPTURED", lambda message: urls.add(message.fields["file_url"]))
         await link.wait_autopilot(20)
         async with listening(Autopilot("px4", system=3), ours.port) as stranger:
             await eventually(lambda: link.roster.member(3, 1) is not None, 20)
@@ -159,6 +161,8 @@ async def test_messages_of_other_systems_reach_no_handler() -> None:
                     )
             await eventually(lambda: sum(name == names[-1] for name, _, _ in heard) >= 15, 20)
     assert {system for _, system, _ in heard} == {4}
+    assert urls == {""}, "a file of this computer that no configuration expects is dropped"
+    assert "file:///etc/hostname" in link.files.refused
     assert {name for name, _, _ in heard} == set(names)
     assert link.boot_count <= 1
 

@@ -374,6 +374,9 @@ class MavsdkCamera:
         if self._component and self._listed:
             return f"component {self._component} is configured, but MAVSDK found: {seen}"
         beating = [component for component, (kind, _) in self._link.components.items() if kind == _MAV_TYPE_CAMERA]
+        foreign = self._link.identity.foreign(_MAV_TYPE_CAMERA, "camera")
+        if foreign and not beating:
+            return foreign
         if beating:
             return f"component {beating[0]} sends camera heartbeats but no CAMERA_INFORMATION (259) on request"
         return (

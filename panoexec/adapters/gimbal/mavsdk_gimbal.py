@@ -43,6 +43,7 @@ ATTITUDE: Final = 30
 MANAGER_STATUS: Final = 281
 MANAGER_INFORMATION: Final = 280
 
+_MAV_TYPE_GIMBAL: Final = 26
 _TAKE_S: Final = 3.0
 _RELEASE_S: Final = 2.5
 _SPARED_HZ: Final = 1.0
@@ -376,6 +377,8 @@ class MavsdkGimbal:
     def _why_not_found(self) -> str:
         if not self._link.connected:
             return "no heartbeat from the autopilot"
+        if foreign := self._link.identity.foreign(_MAV_TYPE_GIMBAL, "gimbal"):
+            return foreign
         if self._sample_s == -math.inf:
             return (
                 "GIMBAL_DEVICE_ATTITUDE_STATUS (285) is not received; ArduPilot: set MNT1_TYPE and reboot; "

@@ -19,6 +19,7 @@ from mavsdk.plugins.mavlink_direct import MavlinkDirect
 
 from panoexec.adapters.link.bpf_filter import DatagramFilter
 from panoexec.adapters.link.connection_url import ConnectionUrl, parse_connection
+from panoexec.adapters.link.file_urls import MESSAGE, FileUrls
 from panoexec.adapters.link.mavsdk_errors import quiet_mavsdk_log
 from panoexec.adapters.link.mavsdk_requests import MavsdkRequests
 from panoexec.adapters.link.mavsdk_session import MavsdkSession
@@ -56,6 +57,7 @@ class MavsdkLink:
         components: components of the vehicle with heartbeats: id to (MAV_TYPE, real time of the last heartbeat).
         roster: everybody with heartbeats, other systems too.
         identity: which vehicle this is, and whether that is certain.
+        files: which files a camera may name.
     """
 
     def __init__(
@@ -69,6 +71,7 @@ class MavsdkLink:
         streams: Sequence[Stream] = DEFAULT_STREAMS,
         patient: bool = False,
         throttling: bool = False,
+        files: FileUrls | None = None,
     ) -> None:
         """Create the link; entering the context opens it.
 
@@ -81,6 +84,7 @@ class MavsdkLink:
             streams: messages to request.
             patient: wait for a serial device or a host that is absent when the link is opened, instead of raising.
             throttling: after `use_rates(active=False)`, receive fast streams only once a second of real time.
+            files: which files a camera may name; None: none but names on its card.
 
         Raises:
             UsageError: the URL is invalid.
@@ -99,6 +103,8 @@ class MavsdkLink:
         self._session = MavsdkSession(self.url, self._calls)
         self._datagram_filter = DatagramFilter(self.url, _GIMBAL_REPORTS[1])
         self._hub = MessageHub(clock, self.post, mute=self._mute)
+        self.files = files or FileUrls()
+        self._hub.screen(MESSAGE, self.files.screen)
         self.requests = MavsdkRequests(
             self._session,
             self._calls,

@@ -99,6 +99,11 @@ class MessageHub:
         self._system = 0
         self._subscriptions: dict[str, Any] = {}
         self._throttled: frozenset[str] = frozenset()
+        self._screens: dict[str, Handler] = {}
+
+    def screen(self, name: str, check: Handler) -> None:
+        """Pass each message of that name to `check` before any handler gets it; it may change the fields."""
+        self._screens[name] = check
 
     def on(self, name: str, handler: Handler) -> Callable[[], None]:
         """Call `handler` with each message of that name, in MAVSDK's thread.
@@ -160,6 +165,8 @@ class MessageHub:
             if name in self._throttled:
                 self._post(self._pause, name)
             try:
+                if name in self._screens:
+                    self._screens[name](received)
                 for handler in self._handlers[name]:
                     handler(received)
             except (LookupError, TypeError, ValueError) as error:

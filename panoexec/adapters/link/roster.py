@@ -118,9 +118,13 @@ class Roster:
         """The autopilots of other vehicles that are present."""
         return [member for member in self.vehicles(now_s) if member.system != system]
 
+    def outside(self, system: int, now_s: float) -> list[Member]:
+        """Components that are present under other system ids than the vehicle's."""
+        return [member for member in self._present(now_s) if member.system != system]
+
     def foreign(self, system: int, kind: int, now_s: float) -> list[Member]:
-        """Components of that MAV_TYPE that are present under other system ids than the vehicle's."""
-        return [member for member in self._present(now_s) if member.kind == kind and member.system != system]
+        """Those of them that have that MAV_TYPE."""
+        return [member for member in self.outside(system, now_s) if member.kind == kind]
 
     def systems(self, now_s: float) -> list[int]:
         """The ids of all systems that are present, sorted."""

@@ -49,6 +49,12 @@ class VehicleIdentity:
         member = self._member
         return 0 if member is None else member.kind
 
+    @property
+    def strangers(self) -> list[Member]:
+        """Every component with heartbeats under another system id."""
+        now_s = self._monotonic()
+        return [] if self.system is None else self._roster.outside(self.system, now_s)
+
     def is_own(self, heartbeat: Mapping[str, Any]) -> bool:
         """Whether a heartbeat of component 1 is of this vehicle and not of another one with the same system id.
 
@@ -114,6 +120,24 @@ class VehicleIdentity:
             return f"{_KEY} is {self.pinned}, but the vehicles on this link have the system ids {systems}"
         heard = ", ".join(str(system) for system in self._roster.systems(now_s))
         return f"heartbeats of system {heard} arrive, but none of a vehicle's autopilot (component 1)" if heard else ""
+
+    def foreign(self, kind: int, name: str) -> str:
+        """Devices of a type that beat under another system id than the vehicle's, and what to set; "" if none does.
+
+        Args:
+            kind: MAV_TYPE.
+            name: what to call one: `camera`.
+        """
+        if self.system is None:
+            return ""
+        devices = self._roster.foreign(self.system, kind, self._monotonic())
+        if not devices:
+            return ""
+        ids = " and ".join(device.ids for device in devices)
+        return (
+            f"a {name} sends heartbeats as {ids}, but the vehicle is system {self.system}: set the {name}'s system id "
+            f"to {self.system} (what belongs to a vehicle has its system id)"
+        )
 
     def news(self) -> str:
         """The problem if it was not told by this method yet, else ""."""
