@@ -1,0 +1,1 @@
+"""What tests of several layers share: comparisons of what a mission claims with what the simulator knows."""
