@@ -46,7 +46,13 @@ async def devices_on(
         rig = await stack.enter_async_context(vehicle_under_test.running(images=images, note=note))
         files = FileUrls(folders=() if images is None else (images,))
         link = await stack.enter_async_context(
-            MavsdkLink(rig.connection, clock=clock, streams=_streams(rig, clock), files=files)
+            MavsdkLink(
+                rig.connection,
+                clock=clock,
+                vehicle_system_id=rig.system_id,
+                streams=_streams(rig, clock),
+                files=files,
+            )
         )
         keeper = follower = None
         if isinstance(clock, VehicleClock) and rig.allow is not None:
