@@ -9,9 +9,7 @@ from functools import partial
 from types import TracebackType
 from typing import Final, Self
 
-from mavsdk.plugins.action import Action
-from mavsdk.plugins.telemetry import FlightMode, Telemetry
-
+from panoexec.adapters.flight_modes import flight_mode
 from panoexec.adapters.link.mavsdk_errors import MAV_RESULTS
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.message_hub import MavMessage
@@ -22,6 +20,10 @@ from panoexec.devices import Severity, VehicleStatus
 from panoexec.errors import DeviceError
 
 CONDITION_YAW: Final = 115
+DO_REPOSITION: Final = 192
+_KEEP_SPEED: Final = -1.0
+_CHANGE_MODE: Final = 1.0
+"""MAV_DO_REPOSITION_FLAGS: the vehicle goes over to Hold, if it is not in it."""
 _SAFETY_ARMED: Final = 128
 _GPS: Final = 0x20
 _IN_AIR: Final = frozenset({2, 3, 4})
@@ -36,7 +38,8 @@ _UNKNOWN_HEADING: Final = 65535
 class MavsdkVehicle:
     """Implements `Vehicle`; an async context manager on an open link.
 
-    Reads MAVLink messages directly, except for the flight mode, which MAVSDK names for each kind of autopilot.
+    Reads MAVLink messages of the autopilot directly: what MAVSDK says of autopilot and flight mode depends on the
+    heartbeats of all components, and on which of them came last.
     """
 
     def __init__(self, link: MavsdkLink) -> None:
@@ -79,8 +82,8 @@ class MavsdkVehicle:
 
     @property
     def turn_modes(self) -> tuple[str, ...]:
-        """See `Vehicle.turn_modes`: ArduPilot's GUIDED (MAVSDK calls it OFFBOARD), PX4's Hold."""
-        return ("OFFBOARD",) if self._link.is_ardupilot else ("HOLD",)
+        """See `Vehicle.turn_modes`: ArduPilot's GUIDED (MAVSDK calls it OFFBOARD), PX4's Hold; none of others."""
+        return {"ardupilot": ("OFFBOARD",), "px4": ("HOLD",)}.get(self._link.autopilot or "", ())
 
     async def turn(self, heading_deg: float, rate_deg_s: float) -> None:
         """See `Vehicle.turn`.
@@ -88,21 +91,33 @@ class MavsdkVehicle:
         ArduPilot: MAV_CMD_CONDITION_YAW (115), which it accepts in every mode and executes in GUIDED. PX4 has no such
         command: it gets MAV_CMD_DO_REPOSITION (192) to its hold position, and turns at its own rate.
         """
-        if self._link.is_ardupilot:
+        what = f"turning the vehicle to {heading_deg:.1f}°"
+        autopilot = self._link.autopilot
+        if autopilot == "ardupilot":
             result = await self._link.requests.command(CONDITION_YAW, [heading_deg % 360.0, rate_deg_s])
-            if result != 0:
-                raise DeviceError(f"turning the vehicle to {heading_deg:.1f}°: {MAV_RESULTS.get(result, result)}")
-            return
+        elif autopilot == "px4":
+            result = await self._reposition(what, heading_deg)
+        else:
+            raise DeviceError(f"{what}: the autopilot is neither ArduPilot nor PX4 (or was not found)")
+        if result != 0:
+            raise DeviceError(f"{what}: {MAV_RESULTS.get(result, result)}")
+
+    async def _reposition(self, what: str, heading_deg: float) -> int:
+        """Hold the position with the nose at a heading; the position is that of the first turn in this mode."""
         if self._hold_position is None:
             status = self.status
             self._hold_position = (status.latitude_deg, status.longitude_deg, status.altitude_m)
-        position = self._hold_position
-        if not all(math.isfinite(value) for value in position):
+        latitude_deg, longitude_deg, altitude_m = self._hold_position
+        if not all(math.isfinite(value) for value in self._hold_position):
             self._hold_position = None
-            raise DeviceError(f"turning the vehicle to {heading_deg:.1f}°: its position is unknown")
-        action = self._link.requests.plugin(Action)
-        await self._link.requests.mavsdk_call(
-            f"turning the vehicle to {heading_deg:.1f}°", lambda: action.goto_location(*position, heading_deg)
+            raise DeviceError(f"{what}: its position is unknown")
+        heading = math.radians((heading_deg + 180.0) % 360.0 - 180.0)
+        return await self._link.requests.command_at(
+            DO_REPOSITION,
+            [_KEEP_SPEED, _CHANGE_MODE, 0.0, heading],
+            latitude_deg=latitude_deg,
+            longitude_deg=longitude_deg,
+            altitude_m=altitude_m,
         )
 
     async def say(self, text: str, severity: Severity = Severity.NOTICE) -> None:
@@ -120,7 +135,6 @@ class MavsdkVehicle:
             on("GPS_RAW_INT", self._receiver),
             on("EKF_STATUS_REPORT", partial(self._estimator, EKF_STATUS_REPORT)),
             on("ESTIMATOR_STATUS", partial(self._estimator, ESTIMATOR_STATUS)),
-            self._link.when_attached(self._attach),
             self._link.when_back(self._came_back),
         ]
         return self
@@ -135,8 +149,16 @@ class MavsdkVehicle:
     # --- in MAVSDK's thread; each assignment is atomic, so the event loop reads the old or the new value
 
     def _heartbeat(self, message: MavMessage) -> None:
-        if message.component_id == AUTOPILOT:
-            self._armed = bool(int(message.fields["base_mode"]) & _SAFETY_ARMED)
+        identity, fields = self._link.identity, message.fields
+        autopilot = identity.autopilot
+        if message.component_id != AUTOPILOT or autopilot is None or not identity.is_own(fields):
+            return
+        base_mode = int(fields["base_mode"])
+        self._armed = bool(base_mode & _SAFETY_ARMED)
+        mode = flight_mode(autopilot, identity.kind, base_mode, int(fields["custom_mode"]))
+        if mode is not None and mode != self._mode:
+            self._hold_position = None  # the vehicle may have been flown elsewhere
+            self._mode = mode
 
     def _global_position(self, message: MavMessage) -> None:
         if message.component_id != AUTOPILOT:
@@ -177,17 +199,7 @@ class MavsdkVehicle:
         if message.component_id == AUTOPILOT:
             self._health.estimator(int(message.fields["flags"]), message_id=message_id)
 
-    def _flight_mode(self, mode: FlightMode, _user_data: object) -> None:
-        if mode.name != self._mode:
-            self._hold_position = None  # the vehicle may have been flown elsewhere
-        self._mode = mode.name
-
     # --- on the loop
-
-    def _attach(self) -> None:
-        plugin = self._link.requests.plugin(Telemetry)
-        handle = plugin.subscribe_flight_mode(self._flight_mode)
-        self._off.append(partial(plugin.unsubscribe_flight_mode, handle))
 
     def _came_back(self) -> None:
         """Reset the status that may have changed with a reboot."""

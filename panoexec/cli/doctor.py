@@ -1,8 +1,9 @@
 """Check a vehicle before a mission: links, message rates, gimbal, camera, evidence, clock, disk, broker, permissions.
 
 Reports what was found, what is missing, and which ArduPilot or PX4 parameter or which configuration key to set. Nothing
-moves, and no photo is taken without --photo. Stop the daemon first, because it occupies the link. Exit codes: 0 nothing
-is missing, 1 something is missing on this computer, 2 invalid configuration, 3 a device or link is missing.
+moves, and no photo is taken without --photo. A daemon that is running is asked over the broker to examine itself on its
+own link. Exit codes: 0 nothing is missing, 1 something is missing on this computer, 2 invalid configuration, 3 a device
+or link is missing.
 
 Examples:
   panoexec doctor --config /etc/panoexec/config.toml
@@ -16,19 +17,17 @@ import asyncio
 import os
 from pathlib import Path
 
-from rich import box
-from rich.table import Table
-from rich.text import Text
-
-from panoexec.cli.output import console, note, print_json
+from panoexec.cli.findings_view import show_findings
+from panoexec.cli.output import note, print_json
 from panoexec.cli.planning_options import positive
 from panoexec.cli.serve import DEFAULT_CONFIG, checked_config
 from panoexec.clock import SystemClock
-from panoexec.doctor.findings import Findings, Verdict
-from panoexec.doctor.run_checks import run_checks
+from panoexec.doctor.findings import Findings
+from panoexec.doctor.run_checks import check_surroundings, run_checks
+from panoexec.doctor.running_daemon import ask_daemon, look_for_daemon
+from panoexec.errors import DeviceError
+from panoexec.inputs.config import Config
 from panoexec.logs import configure_logs
-
-_STYLES = {Verdict.OK: "green", Verdict.NOTE: "dim", Verdict.WARNING: "yellow", Verdict.MISSING: "bold red"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,42 +53,32 @@ def run(args: argparse.Namespace) -> int:
     """Run the checks and print the findings."""
     config = checked_config(args.config, os.environ)
     configure_logs("error", config.log.format)
-    findings = asyncio.run(
-        run_checks(
-            config,
-            args.config,
-            clock=SystemClock(args.speedup),
-            patience_s=args.timeout,
-            photo=args.photo,
-            note=note,
-        )
-    )
+    findings = asyncio.run(_examined(config, args))
     if args.json:
         print_json({"config": str(args.config), "vehicle": config.vehicle.id} | findings.document())
     else:
-        _show(findings)
+        show_findings(findings)
     return findings.exit_code
 
 
-def _show(findings: Findings) -> None:
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("check", no_wrap=True)
-    table.add_column("")
-    table.add_column("found, needed, advice")
-    area = ""
-    for finding in findings.all:
-        if area and finding.area != area:
-            table.add_section()
-        area = finding.area
-        text = Text(finding.found)
-        if finding.verdict in (Verdict.WARNING, Verdict.MISSING) and finding.needed:
-            text.append(f"\nneeded: {finding.needed}", style="dim")
-        if finding.advice:
-            text.append(f"\n→ {finding.advice}", style="bold")
-        table.add_row(
-            f"{finding.area}: {finding.check}", Text(finding.verdict.value, style=_STYLES[finding.verdict]), text
-        )
-    console().print(table)
-    missing, warnings, fine = (findings.count(v) for v in (Verdict.MISSING, Verdict.WARNING, Verdict.OK))
-    verdict = "ready for a mission" if findings.exit_code == 0 else "not ready for a mission"
-    print(f"{missing} missing, {warnings} warning{'' if warnings == 1 else 's'}, {fine} ok: {verdict}")
+async def _examined(config: Config, args: argparse.Namespace) -> Findings:
+    """The findings: of a running daemon if there is one, else of checks on a link of our own."""
+    signs = await look_for_daemon(config, args.config)
+    unanswered = ""
+    if signs.any:
+        try:
+            return await ask_daemon(config, photo=args.photo, note=note)
+        except DeviceError as error:
+            unanswered = f"{signs.text}; {error}"
+    if signs.link:
+        findings = Findings()
+        advice = "wait for it, or stop it: systemctl stop panoexec, run panoexec doctor, systemctl start panoexec"
+        needed = "the daemon's answer, or a free link"
+        findings.missing("link", "port", unanswered, needed=needed, advice=advice)
+        await check_surroundings(config, args.config, findings, note=note)
+        return findings
+    clock = SystemClock(args.speedup)
+    findings = await run_checks(config, args.config, clock=clock, patience_s=args.timeout, photo=args.photo, note=note)
+    if unanswered:
+        findings.note("link", "daemon", f"a daemon may be running: {unanswered}")
+    return findings

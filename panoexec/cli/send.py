@@ -9,6 +9,7 @@ Examples:
   panoexec send start 'elevation_deg=[-60,10]' tolerance_deg.yaw=0.5
   panoexec send start --plan plan.json
   panoexec send skip shot=12
+  panoexec send doctor
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from panoexec.cli.planning_options import positive
 from panoexec.errors import UsageError
 from panoexec.inputs.config import MqttSection
 from panoexec.mqtt.ground_station import GroundStation
-from panoexec.mqtt.requests import REQUESTS
+from panoexec.mqtt.requests import REQUESTS, DoctorRequest
 
 INTERMIXED = True
 _WRONG = frozenset({"too_large", "not_json", "unknown_command", "invalid", "conflict", "planning"})
@@ -63,6 +64,9 @@ def run(args: argparse.Namespace) -> int:
         print_json(answer)
     elif answer["status"] == "ok":
         data = answer.get("data") or {}
+        if args.command == DoctorRequest.command:
+            _show_findings(data)
+            return 0
         print_facts([("ok", args.command), *((name, _short(value)) for name, value in data.items())])
     else:
         why = answer["error"]
@@ -76,6 +80,13 @@ async def _ask(
 ) -> dict[str, Any]:
     async with GroundStation(section) as ground:
         return await ground.request(vehicle, command, fields, timeout_s=timeout_s)
+
+
+def _show_findings(document: dict[str, Any]) -> None:
+    from panoexec.cli.findings_view import show_findings  # noqa: PLC0415  (other requests need none of it)
+    from panoexec.doctor.running_daemon import findings_of  # noqa: PLC0415
+
+    show_findings(findings_of(document))
 
 
 def _exit_code(answer: dict[str, Any]) -> int:

@@ -82,6 +82,7 @@ async def _serve(config: Config, path: Path, speedup: float) -> None:
         clock=SystemClock(speedup),
         reload=lambda: checked_config(path, os.environ),
         notifier=SystemdNotifier(),
+        config_file=path,
     )
     await daemon.run()
 

@@ -59,7 +59,7 @@ class AutoResume:
     async def _resume(self) -> None:
         while self._missions.offer is not None and await self._commands.may_auto_resume():
             devices = self._vehicle.devices
-            if devices is not None and self._vehicle.links().autopilot.ok:
+            if devices is not None and self._vehicle.links().autopilot.ok and not self._vehicle.doubt:
                 try:
                     async with self._missions.claimed():
                         await self._missions.go_on(devices)

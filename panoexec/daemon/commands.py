@@ -8,7 +8,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import structlog
 
@@ -28,6 +28,7 @@ from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.messages import Response, dump, failed, ok
 from panoexec.mqtt.requests import (
     AbortRequest,
+    DoctorRequest,
     FinishRequest,
     PauseRequest,
     PlanRequest,
@@ -51,6 +52,14 @@ _KEPT_PLANS: Final = 4
 _log = structlog.get_logger(__name__)
 
 
+class Examine(Protocol):
+    """Runs the doctor's checks."""
+
+    async def __call__(self, *, photo: bool) -> dict[str, Any]:
+        """The document of the findings."""
+        ...
+
+
 class Commands:
     """Executes requests.
 
@@ -68,6 +77,7 @@ class Commands:
         group: asyncio.TaskGroup,
         respond: Callable[[Incoming, bytes], None],
         refresh: Callable[[], dict[str, Any]],
+        examine: Examine,
     ) -> None:
         """Store the collaborators.
 
@@ -79,6 +89,7 @@ class Commands:
             group: task group in which requests run.
             respond: publishes a response.
             refresh: publishes state and plan again and returns the state.
+            examine: examines the daemon and returns the findings.
         """
         self.camera: str | dict[str, Any] | None = None
         self._config = config
@@ -88,6 +99,7 @@ class Commands:
         self._group = group
         self._respond = respond
         self._refresh = refresh
+        self._examine = examine
         self._plans: OrderedDict[str, Plan] = OrderedDict()
         self._planning = asyncio.Lock()
         self._starting: asyncio.Task[Plan] | None = None
@@ -135,6 +147,8 @@ class Commands:
                 data = await self._resume()
             case AbortRequest():
                 data = await self._abort(request.reason)
+            case DoctorRequest():
+                data = await self._examine(photo=request.photo)
             case SetProfileRequest():
                 data = await self._set_profile(request.camera)
             case PauseRequest() | FinishRequest() | SkipRequest() | RepeatRequest():

@@ -7,6 +7,7 @@ import contextlib
 import signal
 import uuid
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Any, Final
 
 import structlog
@@ -15,6 +16,7 @@ from panoexec.clock import Clock
 from panoexec.daemon.auto_resume import AutoResume
 from panoexec.daemon.commands import Commands
 from panoexec.daemon.event_publisher import EventPublisher
+from panoexec.daemon.examination import Examination
 from panoexec.daemon.live_config import LiveConfig, Reloader
 from panoexec.daemon.missions import Missions
 from panoexec.daemon.sdnotify import SystemdNotifier
@@ -58,6 +60,7 @@ class Daemon:
         reload: Reloader,
         notifier: SystemdNotifier,
         vehicle: VehicleLink | None = None,
+        config_file: Path = Path("config.toml"),
     ) -> None:
         """Create the components that do not need the storage.
 
@@ -67,6 +70,7 @@ class Daemon:
             reload: reads the configuration again at SIGHUP.
             notifier: to the service manager.
             vehicle: in place of the one that the configuration describes.
+            config_file: the configuration's file, for advice.
         """
         self._boot_id = uuid.uuid4().hex
         self._notifier = notifier
@@ -83,6 +87,9 @@ class Daemon:
         self.vehicle = vehicle or VehicleLink(config, clock=clock, changed=self._changed.set)
         events = EventPublisher(mqtt=self.mqtt, changed=self._changed.set)
         self.missions = Missions(config=self._config, clock=clock, sink=events, changed=self._mission_changed)
+        self._examination = Examination(
+            config=self._config, config_file=config_file, missions=self.missions, vehicle=self.vehicle
+        )
         self._publisher = StatePublisher(
             boot_id=self._boot_id,
             missions=self.missions,
@@ -136,6 +143,7 @@ class Daemon:
             group=group,
             respond=self._respond,
             refresh=self._refresh,
+            examine=self._examination.run,
         )
         resume = AutoResume(
             config=self._config, missions=self.missions, vehicle=self.vehicle, commands=self._commands, group=group

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -69,6 +69,7 @@ class Missions:
         mission: the executor while a mission runs.
         offer: the interrupted mission that `resume` continues.
         trouble: the error that ended the last mission; "" for none.
+        make_way: awaited before a mission uses the devices: ends whatever else uses them.
     """
 
     def __init__(
@@ -92,6 +93,7 @@ class Missions:
         self.mission: Mission | None = None
         self.offer: Offer | None = None
         self.trouble = ""
+        self.make_way: Callable[[], Awaitable[None]] = _nothing_in_the_way
         self._config = config
         self._clock = clock
         self._sink = sink
@@ -140,6 +142,7 @@ class Missions:
         self._claimed, self._over = True, False
         self._idle.clear()
         try:
+            await self.make_way()
             yield
         except BaseException:
             self._free()
@@ -299,3 +302,7 @@ class Missions:
         trouble = storage_trouble(storage)
         if trouble:
             raise MissionStorageError(trouble)
+
+
+async def _nothing_in_the_way() -> None:
+    """Nobody else uses the devices."""

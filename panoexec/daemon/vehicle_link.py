@@ -16,6 +16,7 @@ from panoexec.adapters.camera.open_camera import open_camera
 from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.serial_ports import connection_of
+from panoexec.adapters.linked_vehicle import LinkedVehicle, linked_vehicle
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import Clock
 from panoexec.daemon.errors import VehicleNotReadyError
@@ -58,16 +59,28 @@ class VehicleLink:
         self._config = config
         self._clock = clock
         self._changed = changed
+        self._linked: LinkedVehicle | None = None
         self._link: MavsdkLink | None = None
         self._gimbal: MavsdkGimbal | None = None
         self._camera: OpenCamera | None = None
         self._vehicle: MavsdkVehicle | None = None
         self._oks: tuple[bool, ...] = ()
+        self._doubt = ""
 
     @property
     def status(self) -> VehicleStatus:
         """Status of the vehicle, unknown without one."""
         return VehicleStatus() if self._vehicle is None else self._vehicle.status
+
+    @property
+    def linked(self) -> LinkedVehicle | None:
+        """The open link and what is on it, for an examination; None while it is closed."""
+        return self._linked
+
+    @property
+    def camera(self) -> OpenCamera | None:
+        """The open camera, found or not; None before the gimbal was found."""
+        return self._camera
 
     def links(self) -> LinksFields:
         """Status of the links to autopilot, gimbal and camera."""
@@ -76,11 +89,16 @@ class VehicleLink:
 
     @property
     def lacking(self) -> str:
-        """What is missing, or was lost after all devices had been found; "" for nothing."""
+        """What is missing, was lost after all devices had been found, or is uncertain; "" for nothing."""
         if self.reason:
             return self.reason
         lost = [name for name, (ok, _) in zip(_NAMES, self._standing(), strict=True) if not ok]
-        return f"lost: {', '.join(lost)}" if lost else ""
+        return "; ".join(part for part in (f"lost: {', '.join(lost)}" if lost else "", self.doubt) if part)
+
+    @property
+    def doubt(self) -> str:
+        """Why it is not certain that this is the right vehicle, and what to set; "" if it is certain."""
+        return "" if self._link is None else self._link.identity.problem
 
     def _standing(self) -> tuple[tuple[bool, float], tuple[bool, float], tuple[bool, float]]:
         """For autopilot, gimbal and camera: whether the link is up, and seconds since the last message."""
@@ -99,10 +117,12 @@ class VehicleLink:
         """The devices, all of them there.
 
         Raises:
-            VehicleNotReadyError: one is missing.
+            VehicleNotReadyError: one is missing, or another vehicle may be meant.
         """
         if self.devices is None or not self.links().autopilot.ok:
             raise VehicleNotReadyError(f"the vehicle is not ready: {self.lacking or 'no heartbeats'}")
+        if self.doubt:
+            raise VehicleNotReadyError(f"the vehicle is not certain: {self.doubt}")
         return self.devices
 
     async def run(self) -> None:
@@ -121,27 +141,16 @@ class VehicleLink:
 
     async def _hold(self) -> None:
         """One link, until it fails permanently."""
-        section = self._config.vehicle
-        chosen = self._config.gimbal
-        url = await asyncio.to_thread(connection_of, section)
+        url = await asyncio.to_thread(connection_of, self._config.vehicle)
         # idle streams are checked once per second of real time, which is a long silence at a speed-up
         throttling = getattr(self._clock, "speedup", 1.0) <= 1.0
-        link = MavsdkLink(
-            url, clock=self._clock, component_id=section.component_id, patient=True, throttling=throttling
-        )
         async with contextlib.AsyncExitStack() as stack:
             stack.callback(self._forget)
-            await stack.enter_async_context(link)
-            self._link = link
-            self._gimbal = await stack.enter_async_context(
-                MavsdkGimbal(
-                    link,
-                    feedback=None if chosen.feedback == "auto" else chosen.feedback,
-                    manager=chosen.manager,
-                    device=chosen.device,
-                )
+            linked = await stack.enter_async_context(
+                linked_vehicle(self._config, url, clock=self._clock, patient=True, throttling=throttling)
             )
-            self._vehicle = await stack.enter_async_context(MavsdkVehicle(link))
+            link = linked.link
+            self._linked, self._link, self._gimbal, self._vehicle = linked, link, linked.gimbal, linked.vehicle
             await self._find(link, self._gimbal)
             self._camera = await stack.enter_async_context(open_camera(self._config.camera, link))
             await self._find_camera(self._camera)
@@ -183,10 +192,13 @@ class VehicleLink:
         self.pulse_s = time.monotonic()
         if self._gimbal is not None:
             self._gimbal.feed.ingest()  # while nobody else reads, on the loop's own wake-ups
-        oks = tuple(ok for ok, _ in self._standing())
+        oks, doubt = tuple(ok for ok, _ in self._standing()), self.doubt
         if oks != self._oks:
             self._oks = oks
             _log.info("links", autopilot=oks[0], gimbal=oks[1], camera=oks[2])
+            self._changed()
+        if doubt != self._doubt:
+            self._doubt = doubt
             self._changed()
 
     def _missing(self, reason: str) -> None:
@@ -196,6 +208,7 @@ class VehicleLink:
             self._changed()
 
     def _forget(self) -> None:
+        self._linked = None
         self.devices = self._link = self._gimbal = self._camera = self._vehicle = None
 
 

@@ -31,6 +31,7 @@ async def check_camera(
     patience_s: float,
     photo: bool,
     camera: OpenCamera | None = None,
+    in_use: bool = False,
 ) -> None:
     """Look for the camera that the configuration names, as the daemon does; with `photo` take some to measure it.
 
@@ -41,6 +42,7 @@ async def check_camera(
         patience_s: timeout for the camera, seconds of real time.
         photo: take photos.
         camera: the open camera, which stays open; None: open the configured one.
+        in_use: a mission uses the camera: its mode is left alone.
     """
     opened = open_camera(config.camera, link) if camera is None else contextlib.nullcontext(camera)
     try:
@@ -53,7 +55,7 @@ async def check_camera(
             if found.is_two_way:
                 _examine_size(found, config, findings)
                 _examine_room(one.storage_free_images, findings)
-            async with _photo_mode(one, findings) as is_ready:
+            async with contextlib.nullcontext(True) if in_use else _photo_mode(one, findings) as is_ready:
                 _examine_evidence(await one.best_evidence(), config, findings, may_tell_files=found.may_tell_files)
                 if photo and is_ready:
                     await measure_photos(one, link.clock, config, findings)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import asdict, dataclass
 from enum import StrEnum
-from typing import Any, Final
+from typing import Any, Final, Self
 
 
 class Verdict(StrEnum):
@@ -67,10 +67,12 @@ class Findings:
 
     Attributes:
         autopilot: ardupilot or px4; "" until it is detected.
+        examined_by: `doctor`, on a link of its own, or `daemon`, on the daemon's link.
     """
 
     def __init__(self) -> None:
         self.autopilot = ""
+        self.examined_by = "doctor"
         self._found: list[Finding] = []
 
     @property
@@ -120,6 +122,23 @@ class Findings:
             "format": "panoexec.doctor/1",
             "healthy": self.exit_code == 0,
             "autopilot": self.autopilot or None,
+            "examined_by": self.examined_by,
             "counts": {verdict.value: self.count(verdict) for verdict in Verdict},
             "findings": [asdict(finding) | {"verdict": finding.verdict.value} for finding in self.all],
         }
+
+    @classmethod
+    def from_document(cls, document: dict[str, Any]) -> Self:
+        """The findings that `document` described.
+
+        Raises:
+            ValueError: an unknown area or verdict.
+        """
+        findings = cls()
+        findings.autopilot = document["autopilot"] or ""
+        findings.examined_by = document["examined_by"]
+        for fields in document["findings"]:
+            if fields["area"] not in AREAS:
+                raise ValueError(f"unknown area {fields['area']!r}")
+            findings._found.append(Finding(**(fields | {"verdict": Verdict(fields["verdict"])})))
+        return findings

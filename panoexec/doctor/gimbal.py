@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
-from typing import Final
+from typing import Final, TypeAlias
 
 from panoexec.adapters.gimbal.gimbal_choice import in_order
 from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
@@ -17,9 +18,12 @@ from panoexec.errors import DeviceError, PanoexecError
 from panoexec.inputs.camera_profiles import configured_profile
 from panoexec.inputs.config import Config
 from panoexec.inputs.plan_options import configured_gimbal, configured_spec
+from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.mission.pointing.steady_error import cannot_hold
 from panoexec.mission.preflight import attitude_problems, effective_limits, limit_problems
-from panoexec.planning.model import GimbalLimits
+from panoexec.planning.model import GimbalLimits, Plan
+
+Planner: TypeAlias = Callable[[PlanSpec], Awaitable[Plan]]
 
 _PARAMETERS: Final = {"ardupilot": ("MNT1_TYPE",), "px4": ("MNT_MODE_IN", "MNT_MODE_OUT")}
 _KINDS: Final = {
@@ -30,10 +34,21 @@ _KINDS: Final = {
 }
 
 
+async def plan_here(spec: PlanSpec) -> Plan:
+    """Plan in a thread of this process."""
+    return await asyncio.to_thread(spec.plan)
+
+
 async def check_gimbal(
-    gimbal: MavsdkGimbal, link: MavsdkLink, config: Config, findings: Findings, *, patience_s: float
+    gimbal: MavsdkGimbal,
+    link: MavsdkLink,
+    config: Config,
+    findings: Findings,
+    *,
+    patience_s: float,
+    planner: Planner | None = plan_here,
 ) -> bool:
-    """Check discovery, limits, feedback and plan; return whether a gimbal was found."""
+    """Check discovery, limits, feedback and plan (not without `planner`); return whether a gimbal was found."""
     try:
         found = await gimbal.discover(patience_s)
     except DeviceError as error:
@@ -53,7 +68,10 @@ async def check_gimbal(
     _list_gimbals(gimbal, config, findings)
     _examine_limits(gimbal, config, findings)
     _examine_feedback(gimbal, link, config, findings)
-    await _examine_plan(gimbal, config, findings)
+    if planner is None:
+        findings.note("mission", "plan", "not examined: a mission is under way")
+    else:
+        await _examine_plan(gimbal, config, findings, planner)
     return True
 
 
@@ -159,13 +177,13 @@ def _examine_feedback(gimbal: MavsdkGimbal, link: MavsdkLink, config: Config, fi
         findings.ok("gimbal", "attitude", "recent and complete")
 
 
-async def _examine_plan(gimbal: MavsdkGimbal, config: Config, findings: Findings) -> None:
+async def _examine_plan(gimbal: MavsdkGimbal, config: Config, findings: Findings, planner: Planner) -> None:
     """Plan the configured panorama and check that the gimbal reaches all poses."""
     try:
         spec = configured_spec(config, configured_profile(config))
         limits = effective_limits(gimbal.limits, configured_gimbal(config))
         spec = replace(spec, constraints=replace(spec.constraints, gimbal=limits))
-        plan = await asyncio.to_thread(spec.plan)
+        plan = await planner(spec)
     except PanoexecError as error:
         advice = f"[mission] elevation_deg, or {advise('limits', findings.autopilot)}"
         findings.missing("mission", "plan", str(error), needed="the configured panorama", advice=advice)

@@ -36,8 +36,22 @@ async def run_checks(
     findings = Findings()
     note("link, rates, gimbal, camera …")
     await check_vehicle(config, findings, clock=clock, patience_s=patience_s, photo=photo)
+    await check_surroundings(config, config_file, findings, note=note)
+    return findings
+
+
+async def check_surroundings(
+    config: Config, config_file: Path, findings: Findings, *, note: Callable[[str], None] = lambda _: None
+) -> None:
+    """Check everything but the vehicle: broker, clock, disk, permissions.
+
+    Args:
+        config: the validated configuration.
+        config_file: its file.
+        findings: results are added to it.
+        note: receives progress messages for display.
+    """
     note("broker …")
     await check_broker(config, findings)
     note("clock, disk, permissions …")
     await asyncio.to_thread(check_machine, config, config_file, findings)
-    return findings

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 import time
 from datetime import UTC, datetime
 from typing import Final
 
+from panoexec.adapters.camera.camera_kind import OpenCamera
 from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.serial_ports import connection_of
 from panoexec.adapters.link.stream_health import DEFAULT_STREAMS
 from panoexec.adapters.link.stream_keeper import AUTOPILOT
+from panoexec.adapters.linked_vehicle import LinkedVehicle, linked_vehicle
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import Clock
 from panoexec.doctor.advice import advise
 from panoexec.doctor.camera import check_camera
 from panoexec.doctor.findings import Findings
-from panoexec.doctor.gimbal import check_control, check_gimbal, check_reports
+from panoexec.doctor.gimbal import Planner, check_control, check_gimbal, check_reports, plan_here
 from panoexec.doctor.message_rates import MessageRates, Rate
 from panoexec.errors import DeviceError, LinkError
 from panoexec.inputs.config import Config
@@ -32,6 +33,7 @@ _CLOCK_APART_S: Final = 2.0
 _SYSTEM_TIME: Final = 2
 _AUTOPILOT_VERSION: Final = 148
 _COMPONENTS: Final = {1: "autopilot", 26: "gimbal", 30: "camera", 18: "companion", 6: "ground station", 27: "ADSB"}
+_NAMES: Final = {"ardupilot": "ArduPilot", "px4": "PX4"}
 _ESTIMATORS: Final = ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS")
 _WITHOUT: Final = {
     "GIMBAL_DEVICE_ATTITUDE_STATUS": "no pointing can be verified",
@@ -62,40 +64,75 @@ async def check_vehicle(
         findings.missing("link", "port", str(error), advice="[vehicle] serial or connection")
         return
     try:
-        async with contextlib.AsyncExitStack() as stack:
-            link = await stack.enter_async_context(
-                MavsdkLink(url, clock=clock, component_id=config.vehicle.component_id)
-            )
-            findings.ok("link", "port", str(url))
-            section = config.gimbal
-            gimbal = MavsdkGimbal(
-                link,
-                feedback=None if section.feedback == "auto" else section.feedback,
-                manager=section.manager,
-                device=section.device,
-            )
-            await stack.enter_async_context(gimbal)
-            vehicle = await stack.enter_async_context(MavsdkVehicle(link))
-            if not await _examine_link(link, findings, patience_s=patience_s):
-                for area in ("rates", "gimbal", "camera", "vehicle"):
-                    findings.note(area, "not examined", "no autopilot found")
-                return
-            there = await check_gimbal(gimbal, link, config, findings, patience_s=patience_s)
-            await _examine_rates(link, findings, gimbal if there else None)
-            if there:
-                await check_reports(gimbal, config, findings, since_s=clock.monotonic() - _MEASURE_S)
-            _examine_components(link, findings)
-            if there:
-                await check_control(gimbal, findings)
-            await check_camera(link, config, findings, patience_s=patience_s, photo=photo)
-            await _examine_clock(link, findings)
-            _examine_status(vehicle, config, findings)
-            await link.use_rates(active=False)
+        async with linked_vehicle(config, url, clock=clock) as linked:
+            await examine_vehicle(linked, config, findings, patience_s=patience_s, photo=photo)
     except LinkError as error:
         advice = "[vehicle] connection"
         if "in use" in str(error):
             advice = "if the daemon uses it: systemctl stop panoexec, run panoexec doctor, systemctl start panoexec"
         findings.missing("link", "port", str(error), advice=advice)
+
+
+async def examine_vehicle(
+    linked: LinkedVehicle,
+    config: Config,
+    findings: Findings,
+    *,
+    patience_s: float,
+    photo: bool = False,
+    camera: OpenCamera | None = None,
+    planner: Planner = plan_here,
+    in_use: bool = False,
+) -> None:
+    """Check everything on an open link.
+
+    Args:
+        linked: the link, which stays open.
+        config: the daemon's configuration.
+        findings: results are added to it.
+        patience_s: timeout for autopilot, gimbal and camera each, seconds of real time.
+        photo: take one photo to measure its evidence level.
+        camera: the open camera; None: open the configured one for the time of the check.
+        planner: plans the configured panorama.
+        in_use: a mission uses the devices: nothing is asked of them that could disturb it.
+    """
+    link, gimbal, vehicle = linked.link, linked.gimbal, linked.vehicle
+    findings.ok("link", "port", str(link.url))
+    if not await _examine_link(link, findings, patience_s=patience_s):
+        for area in ("rates", "gimbal", "camera", "vehicle"):
+            findings.note(area, "not examined", "no autopilot found")
+        return
+    there = await check_gimbal(
+        gimbal, link, config, findings, patience_s=patience_s, planner=None if in_use else planner
+    )
+    try:
+        await _examine_rates(link, findings, gimbal if there else None, active=in_use)
+        if there:
+            await check_reports(gimbal, config, findings, since_s=link.clock.monotonic() - _MEASURE_S)
+        _examine_components(link, findings)
+        if there and in_use:
+            holder = "panoexec" if gimbal.in_control else f"{gimbal.controlled_by or 'unknown'}"
+            findings.note("gimbal", "control", f"a mission is under way; in control: {holder}")
+        elif there:
+            await check_control(gimbal, findings)
+        await check_camera(
+            link, config, findings, patience_s=patience_s, photo=photo and not in_use, camera=camera, in_use=in_use
+        )
+        if photo and in_use:
+            findings.note("camera", "photo", "not taken: a mission is under way")
+        if link.files.refused:
+            findings.warning(
+                "camera",
+                "file names",
+                link.files.refused,
+                needed="photos whose place is expected",
+                advice="[camera] file_folders for photos on this computer, file_hosts for those that a camera serves",
+            )
+        await _examine_clock(link, findings)
+        _examine_status(vehicle, config, findings)
+    finally:
+        if not in_use:
+            await link.use_rates(active=False)
 
 
 def gimbal_is_earth(gimbal: MavsdkGimbal) -> bool:
@@ -112,11 +149,30 @@ async def _examine_link(link: MavsdkLink, findings: Findings, *, patience_s: flo
     except LinkError as error:
         findings.missing("link", "autopilot", str(error), needed="heartbeats", advice=advise("link", ""))
         return False
-    findings.autopilot = "ardupilot" if link.is_ardupilot else "px4"
-    name = "ArduPilot" if link.is_ardupilot else "PX4"
-    version = await _version(link)
-    findings.ok("link", "autopilot", f"{name} {version}".strip() + f", system {link.vehicle_system_id}")
+    kind = link.autopilot
+    findings.autopilot = kind if kind in ("ardupilot", "px4") else ""
+    found = f"{_NAMES.get(kind or '', 'unknown')} {await _version(link)}".strip() + f", system {link.vehicle_system_id}"
+    if kind in _NAMES:
+        findings.ok("link", "autopilot", found)
+    else:
+        findings.warning(
+            "link", "autopilot", found, needed="ArduPilot or PX4: the vehicle is not turned, parameters are not known"
+        )
+    _examine_identity(link, findings)
     return True
+
+
+def _examine_identity(link: MavsdkLink, findings: Findings) -> None:
+    """Whether this is certainly the right vehicle."""
+    identity = link.identity
+    if identity.problem:
+        advice = "[vehicle] system_id"
+        findings.missing("link", "vehicle", identity.problem, needed="one vehicle, or its system id", advice=advice)
+        return
+    others = ", ".join(f"{member.system}" for member in identity.others)
+    findings.ok(
+        "link", "vehicle", identity.label + (f"; other vehicles on this link: system {others}" if others else "")
+    )
 
 
 def _examine_components(link: MavsdkLink, findings: Findings) -> None:
@@ -126,7 +182,12 @@ def _examine_components(link: MavsdkLink, findings: Findings) -> None:
         for component, (kind, _) in sorted(link.components.items())
         if component != AUTOPILOT
     ]
-    findings.note("link", "components", f"{', '.join(others) or 'none'} beside the autopilot")
+    elsewhere = [
+        f"{member.system}/{member.component} ({_COMPONENTS.get(member.kind, f'MAV_TYPE {member.kind}')})"
+        for member in link.identity.strangers
+    ]
+    beside = f"; of other systems: {', '.join(elsewhere)}" if elsewhere else ""
+    findings.note("link", "components", f"{', '.join(others) or 'none'} beside the autopilot{beside}")
     if link.has_id_conflict:
         system, component = link.own_ids
         findings.missing(
@@ -150,14 +211,15 @@ async def _version(link: MavsdkLink) -> str:
 # --- rates
 
 
-async def _examine_rates(link: MavsdkLink, findings: Findings, gimbal: MavsdkGimbal | None) -> None:
-    """Measure message rates at the rates requested during a mission."""
+async def _examine_rates(link: MavsdkLink, findings: Findings, gimbal: MavsdkGimbal | None, *, active: bool) -> None:
+    """Measure message rates at the rates requested during a mission; `active`: they are requested already."""
     clock = link.clock
     earth = gimbal is not None and gimbal_is_earth(gimbal)
-    await link.use_rates(active=True)
-    if gimbal is not None:
-        await gimbal.ask_rate()
-    await clock.sleep(_SETTLE_S)
+    if not active:
+        await link.use_rates(active=True)
+        if gimbal is not None:
+            await gimbal.ask_rate()
+        await clock.sleep(_SETTLE_S)
     meters = [MessageRates(link, stream.name) for stream in DEFAULT_STREAMS]
     for meter in meters:
         meter.start()

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from panoexec.adapters.camera.open_camera import open_camera
 from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
+from panoexec.adapters.link.file_urls import FileUrls
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.stream_health import DEFAULT_STREAMS, Stream
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
@@ -43,7 +44,16 @@ async def devices_on(
     """
     async with AsyncExitStack() as stack:
         rig = await stack.enter_async_context(vehicle_under_test.running(images=images, note=note))
-        link = await stack.enter_async_context(MavsdkLink(rig.connection, clock=clock, streams=_streams(rig, clock)))
+        files = FileUrls(folders=() if images is None else (images,))
+        link = await stack.enter_async_context(
+            MavsdkLink(
+                rig.connection,
+                clock=clock,
+                vehicle_system_id=rig.system_id,
+                streams=_streams(rig, clock),
+                files=files,
+            )
+        )
         keeper = follower = None
         if isinstance(clock, VehicleClock) and rig.allow is not None:
             keeper = Lockstep(clock, rig.allow, speedup=vehicle_under_test.speedup)

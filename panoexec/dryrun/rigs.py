@@ -21,6 +21,8 @@ from panoexec.sim.process import SimulatorProcess, running_simulator
 
 Note = Callable[[str], None]
 HOST = "127.0.0.1"
+SIMULATED_SYSTEM = 1
+"""MAVLink system id of the embedded vehicle, and of an ArduPilot SITL with its default parameters."""
 SHUTTER_OUTPUT = 9
 """The servo output of the camera trigger; the motors use the first ones."""
 _CAMERA_FAULTS = frozenset({"photo-lost", "photo-refused", "capture-lost", "capture-twice", "storage-full"})
@@ -35,6 +37,7 @@ class Rig:
 
     Attributes:
         connection: for `MavsdkLink`.
+        system_id: MAVLink system id of the vehicle; None if it is not known.
         must_fly: it is on the ground and must be armed, flown and landed by the dry-run.
         may_stand: it is not controlled by the dry-run; a mission may be run on it on the ground.
         allow: sets the limits of its time, for `Lockstep`; None: its time cannot be controlled.
@@ -43,6 +46,7 @@ class Rig:
     """
 
     connection: str
+    system_id: int | None = None
     must_fly: bool = False
     may_stand: bool = False
     allow: Allow | None = None
@@ -99,7 +103,8 @@ class EmbeddedVehicle:
         config = replace(self.simulation, host=HOST, port=port, listen=False, attach_url=None, output=images)
         about = {"autopilot": config.autopilot, "simulated": "embedded", "seed": config.seed}
         async with running_simulator(config, note=note, paced=True) as simulator, _watching(_watch(simulator)):
-            yield Rig(connection=f"udpin://{HOST}:{port}", allow=simulator.allow, about=about)
+            connection = f"udpin://{HOST}:{port}"
+            yield Rig(connection=connection, system_id=SIMULATED_SYSTEM, allow=simulator.allow, about=about)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,7 +156,8 @@ class SitlVehicle:
             running_sitl(options) as sitl,
             _watching(_watch(simulator), sitl.watch()),
         ):
-            yield Rig(connection=f"udpin://{HOST}:{ground_port}", must_fly=True, may_slow=True, about=about)
+            connection = f"udpin://{HOST}:{ground_port}"
+            yield Rig(connection=connection, system_id=SIMULATED_SYSTEM, must_fly=True, may_slow=True, about=about)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

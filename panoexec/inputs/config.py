@@ -66,6 +66,7 @@ class VehicleSection(Section):
     connection: str | None = None
     serial: str | None = None
     baud: Annotated[int, Field(ge=1200, le=4_000_000)] = 921_600
+    system_id: Annotated[int, Field(ge=1, le=255)] | None = None
     component_id: Annotated[int, Field(ge=1, le=255)] = 191
     yaw_rate_deg_s: Positive = 45.0
     yaw_acceleration_deg_s2: Positive = 90.0
@@ -123,6 +124,16 @@ class CameraSection(Section):
     interval_s: NotNegative | None = None
     latency_s: NotNegative = 0.1
     evidence: EvidenceName = "counted"
+    file_folders: tuple[Path, ...] = ()
+    file_hosts: tuple[str, ...] = ()
+
+    @field_validator("file_hosts")
+    @classmethod
+    def _hosts_are_hosts(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for host in value:
+            if not _HOST_NAME.fullmatch(host) and not _is_ipv6(host):
+                raise ValueError(f"{host!r} is not a host: give names or addresses without http:// and without a port")
+        return value
 
     @model_validator(mode="after")
     def _serial_is_complete(self) -> Self:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 
@@ -92,6 +92,28 @@ class ProfileFields(Fields):
     camera: CameraFields
 
 
+class FindingFields(Fields):
+    """The result of one check: `ok`, `note`, `warning` (a mission with reduced quality or safety) or `missing`."""
+
+    area: str
+    check: str
+    verdict: Literal["ok", "note", "warning", "missing"]
+    found: str
+    needed: str
+    advice: str
+
+
+class DoctorFields(Fields):
+    """The findings of an examination, as `panoexec doctor --json` prints them."""
+
+    format: Annotated[str, WithJsonSchema({"const": "panoexec.doctor/1"})]
+    healthy: bool
+    autopilot: TextOrNull
+    examined_by: Literal["doctor", "daemon"]
+    counts: dict[str, int]
+    findings: tuple[FindingFields, ...]
+
+
 class PlanFields(Fields):
     """A plan file, format panoexec.plan/1.
 
@@ -119,6 +141,7 @@ ANSWERS: dict[str, type[BaseModel]] = {
     "skip": ShotFields,
     "repeat": ShotFields,
     "get": State,
+    "doctor": DoctorFields,
     "set_profile": ProfileFields,
 }
 """The model of the `data` of each command's answer."""

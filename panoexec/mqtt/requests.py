@@ -248,6 +248,21 @@ class GetRequest(Request):
     acts: ClassVar[bool] = False
 
 
+class DoctorRequest(Request):
+    """Examine link, rates, gimbal, camera, broker and computer; nothing moves.
+
+    While a mission is under way, only what cannot disturb it is examined. A mission that begins ends the examination
+    with the error `busy`.
+
+    Attributes:
+        photo: take one photo and report what proves it; not while a mission is under way.
+    """
+
+    command: ClassVar[str] = "doctor"
+    acts: ClassVar[bool] = False
+    photo: Annotated[bool, Strict()] = False
+
+
 class SetProfileRequest(Request):
     """Set the camera of the following missions; null: the configured camera."""
 
@@ -272,6 +287,7 @@ REQUESTS: dict[str, type[Request]] = {
         SkipRequest,
         RepeatRequest,
         GetRequest,
+        DoctorRequest,
         SetProfileRequest,
     )
 }

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from panoexec.adapters.camera.mavsdk_camera import MavsdkCamera
+from panoexec.adapters.link.file_urls import FileUrls
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.clock import SystemClock
 from panoexec.devices import Camera, EvidenceLevel
@@ -137,8 +138,9 @@ async def eye() -> AsyncIterator[CameraPeer]:
 
 
 @pytest.fixture
-async def camera(eye: CameraPeer) -> AsyncIterator[MavsdkCamera]:
-    async with MavsdkLink(eye.url, clock=CLOCK) as link, MavsdkCamera(link) as one:
+async def camera(eye: CameraPeer, tmp_path: Path) -> AsyncIterator[MavsdkCamera]:
+    files = FileUrls(hosts=("camera",), folders=(tmp_path,))
+    async with MavsdkLink(eye.url, clock=CLOCK, files=files) as link, MavsdkCamera(link) as one:
         await link.wait_autopilot(10)
         await one.discover()
         yield one

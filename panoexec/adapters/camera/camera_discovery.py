@@ -135,6 +135,9 @@ class CameraDiscovery:
         """Why there is no camera to use."""
         if not self._link.connected:
             return "no heartbeat from the autopilot"
+        return self._why_none_answers() or self._link.identity.foreign(MAV_TYPE_CAMERA, "camera") or self._advice()
+
+    def _why_none_answers(self) -> str:
         candidates = self.candidates
         if why := why_none(candidates, component=self._component):
             return why
@@ -143,6 +146,9 @@ class CameraDiscovery:
             return f"component {self._component} is configured, but MAVSDK found: {seen}"
         if untold := [component for component in self.beating if component not in self._flags]:
             return f"component {untold[0]} sends camera heartbeats but no CAMERA_INFORMATION (259) on request"
+        return ""
+
+    def _advice(self) -> str:
         if not self._link.is_ardupilot:
             return self._why_no_px4_camera()
         return (

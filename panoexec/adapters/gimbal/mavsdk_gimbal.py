@@ -30,6 +30,7 @@ from panoexec.planning.model import GimbalLimits
 MANAGER_STATUS: Final = 281
 MANAGER_INFORMATION: Final = 280
 
+_MAV_TYPE_GIMBAL: Final = 26
 _TAKE_S: Final = 3.0
 _RELEASE_S: Final = 2.5
 
@@ -420,6 +421,8 @@ class MavsdkGimbal:
     def _why_not_found(self) -> str:
         if not self._link.connected:
             return "no heartbeat from the autopilot"
+        if foreign := self._link.identity.foreign(_MAV_TYPE_GIMBAL, "gimbal"):
+            return foreign
         if not self._reports.has_any:
             return (
                 "GIMBAL_DEVICE_ATTITUDE_STATUS (285) is not received; ArduPilot: set MNT1_TYPE and reboot; "

@@ -15,17 +15,19 @@ from types import TracebackType
 from typing import Final, Self
 
 import structlog
-from mavsdk import Autopilot
 from mavsdk.plugins.mavlink_direct import MavlinkDirect
 
 from panoexec.adapters.link.bpf_filter import DatagramFilter
 from panoexec.adapters.link.connection_url import ConnectionUrl, parse_connection
+from panoexec.adapters.link.file_urls import MESSAGE, FileUrls
 from panoexec.adapters.link.mavsdk_errors import quiet_mavsdk_log
 from panoexec.adapters.link.mavsdk_requests import MavsdkRequests
 from panoexec.adapters.link.mavsdk_session import MavsdkSession
 from panoexec.adapters.link.message_hub import Handler, MavMessage, MessageHub
+from panoexec.adapters.link.roster import AutopilotKind, Roster
 from panoexec.adapters.link.stream_health import DEFAULT_STREAMS, HEARTBEAT_LOST_S, Stream
 from panoexec.adapters.link.stream_keeper import AUTOPILOT, StreamKeeper
+from panoexec.adapters.link.vehicle_identity import VehicleIdentity
 from panoexec.adapters.link.worker_calls import WorkerCalls
 from panoexec.clock import Clock
 from panoexec.errors import LinkError
@@ -38,6 +40,7 @@ _GIMBAL_REPORTS: Final = ("GIMBAL_DEVICE_ATTITUDE_STATUS", 285)
 _TICK_S: Final = 0.25
 _IDLE_TICK_S: Final = 1.0
 _DISCOVER_TICK_S: Final = 0.05
+_WATCH_S: Final = 1.0
 _SILENT_REOPEN_S: Final = 5.0
 
 _log = structlog.get_logger(__name__)
@@ -52,6 +55,9 @@ class MavsdkLink:
         requests: requests to the vehicle.
         streams: the requested message streams.
         components: components of the vehicle with heartbeats: id to (MAV_TYPE, real time of the last heartbeat).
+        roster: everybody with heartbeats, other systems too.
+        identity: which vehicle this is, and whether that is certain.
+        files: which files a camera may name.
     """
 
     def __init__(
@@ -65,6 +71,7 @@ class MavsdkLink:
         streams: Sequence[Stream] = DEFAULT_STREAMS,
         patient: bool = False,
         throttling: bool = False,
+        files: FileUrls | None = None,
     ) -> None:
         """Create the link; entering the context opens it.
 
@@ -73,10 +80,11 @@ class MavsdkLink:
             clock: of the mission.
             component_id: own MAVLink component id, unique on the vehicle.
             system_id: own MAVLink system id; None: that of the vehicle, once it is known.
-            vehicle_system_id: the vehicle's system id, if a connection carries several; None: the first one found.
+            vehicle_system_id: the vehicle's system id (`[vehicle] system_id`); None: the first vehicle that is heard.
             streams: messages to request.
             patient: wait for a serial device or a host that is absent when the link is opened, instead of raising.
             throttling: after `use_rates(active=False)`, receive fast streams only once a second of real time.
+            files: which files a camera may name; None: none but names on its card.
 
         Raises:
             UsageError: the URL is invalid.
@@ -84,8 +92,10 @@ class MavsdkLink:
         self.url = parse_connection(url) if isinstance(url, str) else url
         self.clock = clock
         self.components: dict[int, tuple[int, float]] = {}
+        self.roster = Roster()
+        self.identity = VehicleIdentity(self.roster, pinned=vehicle_system_id)
         self._component = component_id
-        self._own_system = system_id
+        self._own_system = system_id if system_id is not None else vehicle_system_id
         self._vehicle_system = vehicle_system_id
         self._patient = patient
         self._throttling = throttling
@@ -93,6 +103,8 @@ class MavsdkLink:
         self._session = MavsdkSession(self.url, self._calls)
         self._datagram_filter = DatagramFilter(self.url, _GIMBAL_REPORTS[1])
         self._hub = MessageHub(clock, self.post, mute=self._mute)
+        self.files = files or FileUrls()
+        self._hub.screen(MESSAGE, self.files.screen)
         self.requests = MavsdkRequests(
             self._session,
             self._calls,
@@ -117,6 +129,7 @@ class MavsdkLink:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stack = contextlib.AsyncExitStack()
         self._heartbeat_s = -math.inf
+        self._watched_s = -math.inf
         self._conflict_heartbeats = 0
         self._hub.on("HEARTBEAT", self._heartbeat)
 
@@ -143,10 +156,14 @@ class MavsdkLink:
         return self._vehicle_system if self._found.is_set() else None
 
     @property
+    def autopilot(self) -> AutopilotKind | None:
+        """Which autopilot it is, by its own heartbeats; None until it was found."""
+        return self.identity.autopilot if self._found.is_set() else None
+
+    @property
     def is_ardupilot(self) -> bool:
         """Whether the autopilot is an ArduPilot; False before it was found."""
-        system = self._session.system
-        return system is not None and system.autopilot_type() is Autopilot.ARDUPILOT
+        return self.autopilot == "ardupilot"
 
     @property
     def own_ids(self) -> tuple[int, int]:
@@ -207,6 +224,7 @@ class MavsdkLink:
                 "serial": "is it powered, is the cable in the right port, does the baud rate match SERIALx_BAUD?",
                 "udpin": "is it on, and does it (or the router) send to this port?",
             }.get(self.url.kind, "is it on, and does it listen on this port?")
+            hint = self.identity.why_not_found or hint
             raise LinkError(f"no autopilot on {self.url} within {timeout_s:g} s: {hint}") from error
 
     # --- for the devices
@@ -242,9 +260,10 @@ class MavsdkLink:
     # --- in MAVSDK's thread
 
     def _heartbeat(self, message: MavMessage) -> None:
-        now = time.monotonic()
-        self.components[message.component_id] = (int(message.fields["type"]), now)
-        if message.component_id == AUTOPILOT:
+        now, kind = time.monotonic(), int(message.fields["type"])
+        self.components[message.component_id] = (kind, now)
+        self.roster.note(message.system_id, message.component_id, kind, int(message.fields["autopilot"]), now)
+        if message.component_id == AUTOPILOT and self.identity.is_own(message.fields):
             was_away = now - self._heartbeat_s >= HEARTBEAT_LOST_S
             self._heartbeat_s = now
             self.streams.autopilot = int(message.fields["autopilot"])
@@ -252,6 +271,10 @@ class MavsdkLink:
                 self.post(self._came_back)
         elif (self._vehicle_system, message.component_id) == self.own_ids:
             self._conflict_heartbeats += 1
+
+    def _other_heartbeat(self, system: int, component: int, kind: int, autopilot: int) -> None:
+        """A heartbeat of a system that the hub does not receive."""
+        self.roster.note(system, component, kind, autopilot, time.monotonic())
 
     # --- on the loop
 
@@ -272,6 +295,7 @@ class MavsdkLink:
             self._wake.clear()
             self.streams.measure()
             self._hub.listen_again()
+            await self._watch_others()
             if self.connected:
                 await self.streams.ask()
             else:
@@ -287,15 +311,28 @@ class MavsdkLink:
                 async with asyncio.timeout(_IDLE_TICK_S if waits else _TICK_S):
                     await self._wake.wait()
 
+    async def _watch_others(self) -> None:
+        """Learn of other systems on the link, and say so when one of them is a vehicle."""
+        if time.monotonic() - self._watched_s >= _WATCH_S:
+            self._watched_s = time.monotonic()
+            await self._session.watch_systems(self._other_heartbeat)
+        if news := self.identity.news():
+            _log.warning("vehicle identity", problem=news)
+
     async def _discover(self) -> None:
         since = time.monotonic()
-        while (system := await self._session.find_vehicle(self._vehicle_system)) is None:
+        while True:
+            await self._session.watch_systems(self._other_heartbeat)
+            chosen = self.roster.choose(self._vehicle_system, time.monotonic())
+            system = None if chosen is None else self._session.known(chosen.system)
+            if chosen is not None and system is not None:
+                break
             silent = time.monotonic() - since > _SILENT_REOPEN_S
             if not self._session.is_open or (silent and self.url.kind == "serial"):
                 await self._session.reopen()
             await asyncio.sleep(_TICK_S if silent else _DISCOVER_TICK_S)
-        vehicle = system.get_system_id()
-        self._vehicle_system = self.requests.system_id = vehicle
+        vehicle = chosen.system
+        self._vehicle_system = self.requests.system_id = self.identity.system = vehicle
         if self._own_system is None:
             self._own_system = vehicle
             if vehicle != 1:  # components of a vehicle share its system id, which is known only now
@@ -306,13 +343,14 @@ class MavsdkLink:
                 return
         self._heartbeat_s = time.monotonic()
         self._session.system = system
-        self._hub.attach(self.requests.plugin(MavlinkDirect))
+        self._session.unwatch(vehicle)
+        self._hub.attach(self.requests.plugin(MavlinkDirect), vehicle)
         # nothing is throttled before `use_rates`: discovery of the devices needs all messages
         await self.streams.ask()
+        _log.info("autopilot found", url=str(self.url), vehicle=self.identity.label)
+        self._found.set()
         for callback in tuple(self._on_attached):
             callback()
-        _log.info("autopilot found", url=str(self.url), system_id=vehicle)
-        self._found.set()
         self._alive.set()
 
     def _mute(self, name: str, muted: bool) -> None:

@@ -29,6 +29,8 @@ T = TypeVar("T")
 P = TypeVar("P")
 
 REQUEST_MESSAGE: Final = 512
+_FRAME_GLOBAL: Final = 5
+"""MAV_FRAME_GLOBAL_INT: altitude above mean sea level."""
 _PARAMETER_TRIES: Final = 3
 _PARAMETER_PAUSE_S: Final = 0.2
 
@@ -111,12 +113,45 @@ class MavsdkRequests:
             DeviceError: not answered, or not sent.
             LinkError: as `mavsdk_call`.
         """
-        system = self.system_id
-        fields: dict[str, float] = {"target_system": system, "target_component": component, "command": command}
-        fields["confirmation"] = 0
+        fields: dict[str, float] = {"target_system": self.system_id, "target_component": component}
+        fields |= {"command": command, "confirmation": 0}
         for number in range(1, 8):
             fields[f"param{number}"] = params[number - 1] if number <= len(params) else 0.0
-        message = MavlinkMessage("COMMAND_LONG", 0, 0, system, component, json.dumps(fields, allow_nan=False))
+        return await self._send_command("COMMAND_LONG", command, fields, component)
+
+    async def command_at(
+        self, command: int, params: Sequence[float], *, latitude_deg: float, longitude_deg: float, altitude_m: float
+    ) -> int:
+        """Send a COMMAND_INT for a position to the autopilot and return its MAV_RESULT.
+
+        Args:
+            command: MAV_CMD.
+            params: its first four parameters.
+            latitude_deg: of the position.
+            longitude_deg: of the position.
+            altitude_m: above mean sea level.
+
+        Raises:
+            DeviceError: not answered, or not sent.
+            LinkError: as `mavsdk_call`.
+        """
+        fields: dict[str, float] = {
+            "target_system": self.system_id,
+            "target_component": AUTOPILOT,
+            "frame": _FRAME_GLOBAL,
+            "command": command,
+            "current": 0,
+            "autocontinue": 0,
+            **{f"param{number}": value for number, value in enumerate(params, start=1)},
+            "x": round(latitude_deg * 1e7),
+            "y": round(longitude_deg * 1e7),
+            "z": altitude_m,
+        }
+        return await self._send_command("COMMAND_INT", command, fields, AUTOPILOT)
+
+    async def _send_command(self, name: str, command: int, fields: Mapping[str, float], component: int) -> int:
+        text = json.dumps(fields, allow_nan=False)
+        message = MavlinkMessage(name, 0, 0, self.system_id, component, text)
         direct = self.plugin(MavlinkDirect)
         ack = await self.mavsdk_call(f"command {command}", lambda: direct.send_command(message))
         return int(json.loads(ack.fields_json)["result"])

@@ -1,23 +1,28 @@
-"""One `Mavsdk` instance with its connection, vehicle and plugins: open, reopen, destroy."""
+"""One `Mavsdk` instance with its connection, systems and plugins: open, reopen, destroy."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 import structlog
 from mavsdk import Configuration, Mavsdk, System
+from mavsdk.plugins.mavlink_direct import MavlinkDirect
 
 from panoexec.adapters.link.connection import close_connection, open_connection
 from panoexec.adapters.link.connection_url import ConnectionUrl
+from panoexec.adapters.link.thread_state import keep_thread_state
 from panoexec.adapters.link.worker_calls import WorkerCalls
 from panoexec.errors import LinkError
 
 P = TypeVar("P")
+Beat: TypeAlias = Callable[[int, int, int, int], None]
+"""Takes a heartbeat: system, component, MAV_TYPE, MAV_AUTOPILOT."""
 
 _DRAIN_S: Final = 3.0
 _DESTROY_S: Final = 3.0
@@ -39,6 +44,7 @@ class MavsdkSession:
         self._instances: list[Mavsdk] = []
         self._connection: Any = None
         self._plugins: dict[Any, Any] = {}
+        self._watched: dict[int, tuple[System, MavlinkDirect | None]] = {}
         self._next_open_s = 0.0
         self._delay_s = _REOPEN_S
 
@@ -88,16 +94,33 @@ class MavsdkSession:
         self._delay_s = _REOPEN_S
         self._next_open_s = 0.0
 
-    async def find_vehicle(self, wanted: int | None) -> System | None:
-        """The first system with an autopilot, or the one of that id; None while there is none."""
+    async def watch_systems(self, heard: Beat) -> None:
+        """Subscribe to the heartbeats of the systems that are new on this connection.
+
+        Args:
+            heard: called in MAVSDK's thread.
+        """
         mavsdk = self._mavsdk
         if mavsdk is None:
-            return None
+            return
         for system in await self._calls.run(mavsdk.get_systems):
-            if system.has_autopilot() and system.is_connected() and wanted in (None, system.get_system_id()):
-                found: System = system
-                return found
-        return None
+            system_id = system.get_system_id()
+            if system_id not in self._watched and mavsdk is self._mavsdk:
+                direct = MavlinkDirect(system)
+                self._watched[system_id] = system, direct
+                direct.subscribe_message("HEARTBEAT", lambda message, _user_data: _take_beat(message, heard))
+
+    def known(self, system_id: int) -> System | None:
+        """That system, None until `watch_systems` has seen it with an autopilot."""
+        system, _ = self._watched.get(system_id, (None, None))
+        return system if system is not None and system.has_autopilot() and system.is_connected() else None
+
+    def unwatch(self, system_id: int) -> None:
+        """End the subscription to the heartbeats of that system."""
+        system, direct = self._watched.get(system_id, (None, None))
+        if system is not None and direct is not None:
+            self._watched[system_id] = system, None
+            direct.destroy()
 
     def plugin(self, kind: Callable[[System], P]) -> P:
         """The plugin of that kind, created at the first call.
@@ -120,6 +143,7 @@ class MavsdkSession:
         """
         self._mavsdk = self.system = self._connection = None
         self._plugins.clear()
+        self._watched.clear()
         if not await self._calls.drain(_DRAIN_S):
             _log.warning("MAVSDK call timed out")
         made, self._instances = self._instances, []
@@ -137,3 +161,10 @@ class MavsdkSession:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_DESTROY_S):
                 await gone.wait()
+
+
+def _take_beat(message: Any, heard: Beat) -> None:
+    keep_thread_state()
+    with contextlib.suppress(LookupError, TypeError, ValueError):  # no heartbeat of the standard
+        fields = json.loads(message.fields_json)
+        heard(message.system_id, message.component_id, int(fields["type"]), int(fields["autopilot"]))

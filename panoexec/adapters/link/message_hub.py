@@ -25,14 +25,16 @@ class MavMessage:
 
     Attributes:
         name: MAVLink message name.
-        component_id: the sender's component.
+        system_id, component_id: the sender's ids; 0 is a system that was not told.
         received_s: when it arrived, on the mission's clock.
         heard_s: when it arrived, on the real monotonic clock.
     """
 
-    __slots__ = ("_fields", "component_id", "heard_s", "name", "received_s")
+    __slots__ = ("_fields", "component_id", "heard_s", "name", "received_s", "system_id")
 
-    def __init__(self, name: str, component_id: int, fields: dict[str, Any] | str, received_s: float) -> None:
+    def __init__(
+        self, name: str, component_id: int, fields: dict[str, Any] | str, received_s: float, *, system_id: int = 0
+    ) -> None:
         """Create it from a received message.
 
         Args:
@@ -40,8 +42,10 @@ class MavMessage:
             component_id: the sender's component.
             fields: by MAVLink's field names, or their JSON text.
             received_s: when it arrived, on the mission's clock.
+            system_id: the sender's system.
         """
         self.name = name
+        self.system_id = system_id
         self.component_id = component_id
         self.received_s = received_s
         self.heard_s = time.monotonic()
@@ -67,7 +71,11 @@ Handler: TypeAlias = Callable[[MavMessage], None]
 
 
 class MessageHub:
-    """Dispatches messages to handlers; outlives connections and is attached to the current one."""
+    """Dispatches messages of one system to handlers; outlives connections and is attached to the current one.
+
+    What other systems send never reaches a handler. MAVSDK sorts messages by system too (measured with 4.1: a
+    subscription gets those of its `System` alone), but a report that proves a photo does not depend on that.
+    """
 
     def __init__(
         self,
@@ -88,8 +96,14 @@ class MessageHub:
         self._mute = mute
         self._handlers: dict[str, tuple[Handler, ...]] = {}
         self._direct: MavlinkDirect | None = None
+        self._system = 0
         self._subscriptions: dict[str, Any] = {}
         self._throttled: frozenset[str] = frozenset()
+        self._screens: dict[str, Handler] = {}
+
+    def screen(self, name: str, check: Handler) -> None:
+        """Pass each message of that name to `check` before any handler gets it; it may change the fields."""
+        self._screens[name] = check
 
     def on(self, name: str, handler: Handler) -> Callable[[], None]:
         """Call `handler` with each message of that name, in MAVSDK's thread.
@@ -107,9 +121,10 @@ class MessageHub:
 
         return off
 
-    def attach(self, direct: MavlinkDirect) -> None:
-        """Subscribe to all messages that have handlers."""
+    def attach(self, direct: MavlinkDirect, system_id: int) -> None:
+        """Subscribe to all messages that have handlers, of that system."""
         self._direct = direct
+        self._system = system_id
         for name in self._handlers:
             self._subscribe(name)
 
@@ -137,11 +152,21 @@ class MessageHub:
 
     def _subscribe(self, name: str) -> None:
         def arrived(message: Any, _user_data: object) -> None:
-            received = MavMessage(name, message.component_id, message.fields_json, self._clock.monotonic())
             keep_thread_state()
+            if message.system_id != self._system:
+                return
+            received = MavMessage(
+                name,
+                message.component_id,
+                message.fields_json,
+                self._clock.monotonic(),
+                system_id=message.system_id,
+            )
             if name in self._throttled:
                 self._post(self._pause, name)
             try:
+                if name in self._screens:
+                    self._screens[name](received)
                 for handler in self._handlers[name]:
                     handler(received)
             except (LookupError, TypeError, ValueError) as error:

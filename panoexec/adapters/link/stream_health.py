@@ -19,6 +19,8 @@ _SILENT_S: Final = 1.0
 _MAX_RETRY_S: Final = 10.0
 _REFUSED_RETRY_S: Final = 30.0
 _BOOT_BACK_S: Final = 1.0
+_FUTURE_S: Final = 5.0
+_FUTURE_KEPT_S: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,18 +64,26 @@ class RebootDetector:
         """How many were detected."""
         self._newest_s = -math.inf
         self._heard_s = math.inf
+        self._received_s = -math.inf
+        self._future_since_s = math.nan
 
-    def note(self, boot_s: float, heard_s: float) -> bool:
+    def note(self, boot_s: float, heard_s: float, received_s: float | None = None) -> bool:
         """Take the time since boot of a message; True if the autopilot rebooted since the last message.
 
         Two signs: the time runs backwards by more than messages overtake each other, or the autopilot has been up for
         no longer than it was silent. The second one finds the reboot of an autopilot that had only just started: it
         forgets its message intervals, and when it is heard again it is already up for longer than before.
 
+        A time from the future is dropped: the true ones that follow it would look like a reboot. Only a sender that
+        keeps to it for a second, with no message of the old time between, is believed.
+
         Args:
             boot_s: time since boot, seconds.
             heard_s: when the message arrived, monotonic seconds.
+            received_s: when it arrived, on a clock that runs as fast as the vehicle's; None: `heard_s`.
         """
+        if self._is_future(boot_s, heard_s, heard_s if received_s is None else received_s):
+            return False
         silent_s = heard_s - self._heard_s
         self._heard_s = heard_s
         rebooted = boot_s < self._newest_s - _BOOT_BACK_S or boot_s <= silent_s
@@ -81,6 +91,18 @@ class RebootDetector:
             self.reboots += 1
         self._newest_s = boot_s if rebooted else max(self._newest_s, boot_s)
         return rebooted
+
+    def _is_future(self, boot_s: float, heard_s: float, received_s: float) -> bool:
+        passed_s = received_s - self._received_s  # infinite before the first message
+        if boot_s - self._newest_s <= 2.0 * passed_s + _FUTURE_S or not math.isfinite(self._newest_s):
+            self._received_s, self._future_since_s = received_s, math.nan
+            return False
+        if math.isnan(self._future_since_s):
+            self._future_since_s = heard_s
+        if heard_s - self._future_since_s < _FUTURE_KEPT_S:
+            return True
+        self._newest_s, self._received_s, self._future_since_s = boot_s, received_s, math.nan
+        return False
 
 
 class StreamHealth:

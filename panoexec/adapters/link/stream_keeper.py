@@ -10,15 +10,18 @@ from functools import partial
 from typing import Final, TypeAlias
 
 from panoexec.adapters.link.message_hub import MavMessage, MessageHub
+from panoexec.adapters.link.roster import AUTOPILOT
 from panoexec.adapters.link.stream_health import RebootDetector, Stream, StreamHealth
 from panoexec.clock import Clock
 from panoexec.errors import DeviceError
 
+__all__ = ["AUTOPILOT", "SET_MESSAGE_INTERVAL", "StreamKeeper", "StreamReport"]
+
 SET_MESSAGE_INTERVAL: Final = 511
-AUTOPILOT: Final = 1
-"""MAV_COMP_ID_AUTOPILOT1."""
 
 _MEASURE_S: Final = 2.0
+_OF_ANY_COMPONENT: Final = frozenset({281, 285})
+"""Streams that a gimbal, or a manager beside the autopilot, sends itself."""
 
 Command: TypeAlias = Callable[[int, Sequence[float]], Awaitable[int]]
 
@@ -134,8 +137,10 @@ class StreamKeeper:
         return min(wanted, self.throttled.get(stream.message_id, wanted))
 
     def _arrived(self, watch: StreamHealth, message: MavMessage) -> None:
+        if message.component_id != AUTOPILOT and watch.stream.message_id not in _OF_ANY_COMPONENT:
+            return  # the autopilot was asked: what somebody else sends does not answer for it
         watch.note(message.heard_s)
         # a gimbal that is its own component stamps with its own boot time; 0 is a sender that does not stamp
         boot_ms = message.fields.get("time_boot_ms") if message.component_id == AUTOPILOT else None
-        if boot_ms and self.boots.note(boot_ms / 1000.0, message.heard_s):
+        if boot_ms and self.boots.note(boot_ms / 1000.0, message.heard_s, message.received_s):
             self._rebooted()

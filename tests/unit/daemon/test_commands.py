@@ -63,6 +63,9 @@ async def a_desk(folder: Path, boot_id: str = "one", refresh: Any = None) -> Asy
         desks[0].refreshed += 1
         return {} if refresh is None else refresh()
 
+    async def examined(*, photo: bool) -> dict[str, Any]:
+        return {"photo": photo}
+
     try:
         async with asyncio.TaskGroup() as group:
             clock = SystemClock()
@@ -75,6 +78,7 @@ async def a_desk(folder: Path, boot_id: str = "one", refresh: Any = None) -> Asy
                 group=group,
                 respond=respond,
                 refresh=refreshed,
+                examine=examined,
             )
             await commands.restore()
             desks.append(Desk(commands))

@@ -1,5 +1,7 @@
 import itertools
 
+import pytest
+
 from panoexec.adapters.link.stream_health import RebootDetector, Stream, StreamHealth
 
 STREAM = Stream(message_id=285, name="GIMBAL_DEVICE_ATTITUDE_STATUS", rate_hz=50.0, idle_rate_hz=5.0)
@@ -108,3 +110,29 @@ def test_after_a_reboot_everything_is_asked_for_at_once() -> None:
     flowing(watch, 0.1)
     watch.forget()
     assert watch.due(50.0, 0.1)
+
+
+def test_a_time_from_the_future_is_no_news_and_the_next_true_one_no_reboot() -> None:
+    boots = RebootDetector()
+    for tick in range(1, 200):
+        now = tick * 0.02
+        assert not boots.note(100.0 + now, 1000.0 + now)
+        if tick % 10 == 0:  # somebody else stamps an hour ahead, again and again
+            assert not boots.note(3700.0 + now, 1000.0 + now)
+    assert boots.reboots == 0
+
+
+def test_a_clock_that_stays_ahead_is_believed_after_a_second() -> None:
+    boots = RebootDetector()
+    assert not boots.note(100.0, 1000.0)
+    for tick in range(100):
+        assert not boots.note(5000.0 + tick * 0.02, 1000.0 + tick * 0.02)
+    assert boots.note(3.0, 1002.1), "the reboot that follows is one"
+
+
+@pytest.mark.parametrize("gap_s", [0.1, 3.0, 120.0, 3600.0])
+def test_a_gap_is_no_leap_of_the_clock(gap_s: float) -> None:
+    boots = RebootDetector()
+    assert not boots.note(100.0, 1000.0)
+    assert not boots.note(100.0 + gap_s, 1000.0 + gap_s)
+    assert boots.note(0.5, 1001.0 + gap_s)

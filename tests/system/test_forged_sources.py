@@ -1,0 +1,79 @@
+"""Missions on a network with a forger: whatever it tells from ids of its own, nothing accepted is untrue.
+
+`PANOEXEC_FORGED=200` flies that many missions, each with another seed; without it one. `PANOEXEC_FORGED_SEED` is the
+first seed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("pymavlink")
+
+from panoexec.dryrun import run as dry_run
+from panoexec.dryrun.rigs import EmbeddedVehicle
+from panoexec.dryrun.run import DryRunOptions, run_dry_run
+from panoexec.inputs.camera_profiles import load_profile
+from panoexec.mission.settings import MissionSettings
+from panoexec.planning.make_plan import make_plan
+from panoexec.planning.model import Band, Constraints, Timing, Tolerance
+from panoexec.sim.config import CameraConfig, SimConfig
+from panoexec.sim.faults import parse_fault
+from tests.support.forger import SECRET, Forger, forged
+from tests.support.truth import untruths
+
+MISSIONS = int(os.environ.get("PANOEXEC_FORGED", "1"))
+FIRST_SEED = int(os.environ.get("PANOEXEC_FORGED_SEED", "1"))
+TOLERANCE = Tolerance(pitch_deg=0.15, roll_deg=0.15, yaw_deg=0.7)
+
+
+async def fly(storage: Path, forger: Forger, monkeypatch: pytest.MonkeyPatch, *faults: str, seed: int = 0) -> Any:
+    """The manifest of a mission over a sector, and its directory."""
+    camera = load_profile("dji-x5s-15mm").camera
+    band = Band(elevation_min_deg=-20, elevation_max_deg=15, azimuth_min_deg=-50, azimuth_max_deg=50)
+    constraints = Constraints(overlap_h=0.15, overlap_v=0.15, band=band, tolerance=TOLERANCE)
+    plan = make_plan(camera, constraints, method="certified", timing=Timing(), order="fastest")
+    options = DryRunOptions(
+        plan=plan,
+        settings=MissionSettings(tolerance=TOLERANCE, interval_s=1.0, exposure_s=0.01, max_pause_s=20.0),
+        simulation=SimConfig(
+            seed=seed,
+            speedup=20.0,
+            autopilot="px4" if seed % 4 == 3 else "ardupilot",
+            camera=CameraConfig(optics=camera, interval_s=1.0, render_width_px=64),
+            faults=tuple(parse_fault(fault) for fault in faults),
+        ),
+        storage=storage,
+    )
+    monkeypatch.setattr(
+        dry_run,
+        "vehicle_under_test",
+        lambda simulation, **_: forged(EmbeddedVehicle(simulation=simulation), forger),
+    )
+    summary = await run_dry_run(options, on_mission=lambda _: forger.speak_up())
+    return summary, json.loads((summary.directory / "manifest.json").read_text(encoding="utf-8"))
+
+
+async def test_no_mission_accepts_what_a_forger_tells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    complete = 0
+    for seed in range(FIRST_SEED, FIRST_SEED + MISSIONS):
+        forger = Forger(seed)
+        summary, manifest = await fly(tmp_path / str(seed), forger, monkeypatch, seed=seed)
+        told = json.dumps(manifest)
+        assert untruths(summary.directory) == [], f"seed {seed}"
+        assert SECRET.decode() not in told, f"seed {seed}"
+        assert "hostname" not in told, f"seed {seed}"
+        assert forger.heard > 0
+        assert {"GIMBAL_DEVICE_ATTITUDE_STATUS", "CAMERA_IMAGE_CAPTURED", "COMMAND_ACK"} <= forger.sent.keys()
+        complete += summary.state == "complete"
+        print(
+            f"seed {seed}: {summary.state}, {summary.accepted}/{summary.shots}, {summary.attempts} attempts,",
+            f"{sum(forger.sent.values())} forged messages; {summary.reason}",
+        )
+    print(f"{complete} of {MISSIONS} missions complete")
+    assert complete == MISSIONS, "and none is kept from its end"
