@@ -30,7 +30,8 @@ from panoexec.mission.settings import MissionSettings
 from panoexec.mission.waiting import first_failure
 from panoexec.planning.model import Plan
 from panoexec.store.directory import MissionDirectory, new_mission_directory
-from panoexec.store.journal import WRITTEN_BY, JournalFileError, SqliteJournal, read_journal
+from panoexec.store.journal import JournalFileError, SqliteJournal, read_journal
+from panoexec.store.journal_layout import WRITTEN_BY
 from panoexec.store.manifest import ManifestWriter
 
 
