@@ -171,15 +171,55 @@ def load_journal(path: Path) -> JournalContents:
     Raises:
         JournalFileError: it is missing, damaged, of a newer version, not a panoexec journal, or in use.
     """
-    torn = _check_file(path)
+    torn = check_journal_file(path)
     with reading(path) as connection:
         _check_pages(path, connection)
         return _contents(path, connection, torn)
 
 
+def check_journal_file(path: Path) -> str:
+    """Reject a foreign, newer or damaged file by its bytes, without opening it in SQLite, so that it is not changed.
+
+    Returns:
+        What is to be told about the last write; "" for nothing.
+
+    Raises:
+        JournalFileError: it is missing, damaged, of a newer version, or not a panoexec journal.
+    """
+    if not path.is_file():
+        raise JournalFileError(f"{path}: there is no journal; only a mission directory with one can be read or resumed")
+    try:
+        with path.open("rb") as file:
+            header = file.read(100)
+    except OSError as error:
+        raise JournalFileError(f"{path}: cannot be read ({error.strerror})") from error
+    # the database header: magic at 0, user version at 60, application id at 68, big endian
+    if len(header) < 100 or header[:16] != b"SQLite format 3\x00":
+        raise DamagedJournalError(f"{path}: damaged or not a journal (not an SQLite file); the file was not changed")
+    application, version = int.from_bytes(header[68:72]), int.from_bytes(header[60:64])
+    if application != APPLICATION_ID:
+        raise JournalFileError(f"{path}: an SQLite file, but not a panoexec journal")
+    if version > SCHEMA_VERSION:
+        raise JournalFileError(
+            f"{path}: written by a newer panoexec (layout {version}, this one reads up to {SCHEMA_VERSION});"
+            " update panoexec to resume it"
+        )
+    try:
+        log = examine_log(path.with_name(path.name + "-wal"))
+    except OSError as error:
+        raise JournalFileError(f"{path}-wal: cannot be read ({error.strerror})") from error
+    if log.lost:
+        raise DamagedJournalError(f"{path}: damaged ({log.lost}); the file was not changed")
+    return log.torn
+
+
 @contextlib.contextmanager
-def reading(path: Path) -> Iterator[sqlite3.Connection]:
+def reading(path: Path, *, timeout_s: float = 1.0) -> Iterator[sqlite3.Connection]:
     """A read-only connection, which leaves no new files.
+
+    Args:
+        path: the journal.
+        timeout_s: how long to wait for another process to release it.
 
     Raises:
         JournalFileError: SQLite cannot read the file.
@@ -189,7 +229,9 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
     how = "mode=ro" if beside.exists() and beside.stat().st_size else "mode=ro&immutable=1"
     was_there = shared.exists()
     try:
-        with contextlib.closing(sqlite3.connect(f"{path.absolute().as_uri()}?{how}", uri=True, timeout=1.0)) as found:
+        with contextlib.closing(
+            sqlite3.connect(f"{path.absolute().as_uri()}?{how}", uri=True, timeout=timeout_s)
+        ) as found:
             yield found
     except sqlite3.Error as error:
         raise _unusable(path, error) from error
@@ -234,7 +276,7 @@ def write_journal(path: Path, head: Mapping[str, str], rows: Sequence[layout.Row
 
 
 def _open(path: Path) -> tuple[sqlite3.Connection, bytes]:
-    _check_file(path)
+    check_journal_file(path)
     try:
         connection = _connect(path)
     except (sqlite3.Error, UnicodeDecodeError) as error:
@@ -275,39 +317,6 @@ def _check_pages(path: Path, connection: sqlite3.Connection) -> None:
         raise DamagedJournalError(f"{path}: damaged ({error}); the file was not changed") from error
     if damaged != "ok":
         raise DamagedJournalError(f"{path}: damaged ({' '.join(str(damaged).split())}); the file was not changed")
-
-
-def _check_file(path: Path) -> str:
-    """Reject a foreign, newer or damaged file by its bytes, without opening it in SQLite, so that it is not changed.
-
-    Returns:
-        What is to be told about the last write; "" for nothing.
-    """
-    if not path.is_file():
-        raise JournalFileError(f"{path}: there is no journal; only a mission directory with one can be read or resumed")
-    try:
-        with path.open("rb") as file:
-            header = file.read(100)
-    except OSError as error:
-        raise JournalFileError(f"{path}: cannot be read ({error.strerror})") from error
-    # the database header: magic at 0, user version at 60, application id at 68, big endian
-    if len(header) < 100 or header[:16] != b"SQLite format 3\x00":
-        raise DamagedJournalError(f"{path}: damaged or not a journal (not an SQLite file); the file was not changed")
-    application, version = int.from_bytes(header[68:72]), int.from_bytes(header[60:64])
-    if application != APPLICATION_ID:
-        raise JournalFileError(f"{path}: an SQLite file, but not a panoexec journal")
-    if version > SCHEMA_VERSION:
-        raise JournalFileError(
-            f"{path}: written by a newer panoexec (layout {version}, this one reads up to {SCHEMA_VERSION});"
-            " update panoexec to resume it"
-        )
-    try:
-        log = examine_log(path.with_name(path.name + "-wal"))
-    except OSError as error:
-        raise JournalFileError(f"{path}-wal: cannot be read ({error.strerror})") from error
-    if log.lost:
-        raise DamagedJournalError(f"{path}: damaged ({log.lost}); the file was not changed")
-    return log.torn
 
 
 def _connect(path: Path) -> sqlite3.Connection:
