@@ -46,6 +46,11 @@ class MissionDirectory:
         return self.path / "report.html"
 
     @property
+    def outputs(self) -> Path:
+        """What exports and report were written from."""
+        return self.path / "outputs.json"
+
+    @property
     def images(self) -> Path:
         """The folder of the photos."""
         return self.path / "images"

@@ -156,6 +156,8 @@ def test_the_manifest_can_be_written_anew_from_plan_and_journal(mission: Mission
         certificate=lambda: certify_measured(replace(plan, certificate=certificate), rotations, rows),
     )
     written = json.loads(writer.text())
+    assert written.pop("journal") == {"events": EVENTS}
+    assert len(written.pop("digest")) == 32
     for document in (recorded, written):
         document["times"].pop("written")
         document.pop("battery")  # it is in no event
