@@ -271,6 +271,7 @@ def _attempt_json(attempt: AttemptRecord, folder: Path) -> dict[str, Any]:
         "by": attempt.by,
         "code": attempt.code,
         "reason": attempt.reason,
+        "seq": attempt.seq,
         "started": iso_utc(attempt.started_utc_s),
         "target": _target_json(attempt.pitch_deg, attempt.yaw_deg),
         "measured": None,
