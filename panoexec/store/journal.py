@@ -35,6 +35,10 @@ class JournalFileError(UsageError):
     """A journal cannot be opened or created; nothing was written to it."""
 
 
+class JournalInUseError(JournalFileError):
+    """Another process has the journal open."""
+
+
 class DamagedJournalError(JournalFileError):
     """A journal is not as it was written; `panoexec salvage` recovers its longest true part."""
 
@@ -301,7 +305,7 @@ def _open(path: Path) -> tuple[sqlite3.Connection, bytes]:
 def _unusable(path: Path, error: sqlite3.Error | UnicodeDecodeError) -> JournalFileError:
     """The error for a journal that SQLite cannot open."""
     if "locked" in str(error):
-        return JournalFileError(f"{path}: in use by another panoexec; stop that one first")
+        return JournalInUseError(f"{path}: in use by another panoexec; stop that one first")
     if isinstance(error, sqlite3.OperationalError) and "malformed" not in str(error):
         full = shutil.disk_usage(path.parent).free < _ROOM_BYTES
         why = f"no space left in {path.parent}" if full else str(error)
@@ -372,7 +376,7 @@ def _contents(path: Path, connection: sqlite3.Connection, torn: str = "") -> Jou
 
 def _damaged(path: Path, error: Exception) -> JournalFileError:
     if "locked" in str(error):
-        return JournalFileError(f"{path}: in use by another panoexec; stop that one first")
+        return JournalInUseError(f"{path}: in use by another panoexec; stop that one first")
     return DamagedJournalError(f"{path}: damaged ({str(error)[:200]}); the file was not changed")
 
 

@@ -127,6 +127,8 @@ def insert(connection: sqlite3.Connection, rows: Sequence[Row]) -> None:
 
 def append(connection: sqlite3.Connection, rows: Sequence[Row]) -> None:
     """Insert events and update the tail, in one transaction."""
+    if not rows:
+        return
     with connection:
         insert(connection, rows)
         connection.execute("UPDATE tail SET events = ?, seal = ?", (rows[-1].seq, rows[-1].seal))
