@@ -54,6 +54,7 @@ class AutoResume:
         if self._missions.busy:
             return
         may_resume = await self._missions.find_interrupted()
+        await self._commands.decline_what_may_be_forgotten()
         restoring = restore_leftovers(lambda: self._config().storage.path, self._missions)
         self._group.create_task(restoring, name="leftovers")
         if may_resume and self._config().mission.resume == "auto":
