@@ -106,7 +106,7 @@ class Mission:
 
     Attributes:
         path: the mission directory, absolute.
-        mission_id: name of the mission; sorts by time.
+        mission_id: name of the mission: when it began, as the clock told it.
         state: of the mission (docs/mission.md), such as `complete`.
         reason: for the state, for people.
         camera: as flown.
