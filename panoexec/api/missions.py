@@ -15,7 +15,7 @@ from panoexec.exports.model import local_name
 from panoexec.optics import Camera
 from panoexec.planning.model import Certificate, Hole, Tolerance
 from panoexec.store.directory import MissionDirectory, existing_mission_directory
-from panoexec.store.manifest import read_manifest
+from panoexec.store.rebuilding import current_manifest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,7 +106,7 @@ class Mission:
 
     Attributes:
         path: the mission directory, absolute.
-        mission_id: name of the mission; sorts by time.
+        mission_id: name of the mission: when it began, as the clock told it.
         state: of the mission (docs/mission.md), such as `complete`.
         reason: for the state, for people.
         camera: as flown.
@@ -164,7 +164,7 @@ def open_mission(path: str | os.PathLike[str]) -> Mission:
         InputFileError: the manifest is missing or damaged.
     """
     directory = existing_mission_directory(Path(path))
-    document = read_manifest(directory.manifest)
+    document = current_manifest(directory)
     try:
         return _mission(document, directory.path)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:

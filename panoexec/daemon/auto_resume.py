@@ -10,6 +10,7 @@ import structlog
 
 from panoexec.daemon.commands import Commands
 from panoexec.daemon.errors import MissionBusyError
+from panoexec.daemon.leftovers import restore_leftovers
 from panoexec.daemon.missions import Missions
 from panoexec.daemon.vehicle_link import VehicleLink
 from panoexec.inputs.config import Config
@@ -48,11 +49,14 @@ class AutoResume:
         self._group = group
 
     async def storage_readable(self) -> None:
-        """Restore what was set, look for an interrupted mission, and resume it if `[mission] resume` says so."""
+        """Restore what was set and what missions left, and resume an interrupted one if `[mission] resume` says so."""
         await self._commands.restore()
         if self._missions.busy:
             return
         may_resume = await self._missions.find_interrupted()
+        await self._commands.decline_what_may_be_forgotten()
+        restoring = restore_leftovers(lambda: self._config().storage.path, self._missions)
+        self._group.create_task(restoring, name="leftovers")
         if may_resume and self._config().mission.resume == "auto":
             self._group.create_task(self._resume(), name="resume")
 

@@ -41,6 +41,7 @@ from panoexec.mqtt.requests import (
     StartRequest,
     parse_request,
 )
+from panoexec.mqtt.transaction_file import FORGOTTEN
 from panoexec.mqtt.transactions import Transactions
 from panoexec.planning.model import Plan
 
@@ -103,11 +104,26 @@ class Commands:
         self._plans: OrderedDict[str, Plan] = OrderedDict()
         self._planning = asyncio.Lock()
         self._starting: asyncio.Task[Plan] | None = None
+        self._forgot = False
 
     async def restore(self) -> None:
         """Restore the camera profile that was set before a restart."""
         text = await self._transactions.recall(CAMERA)
         self.camera = json.loads(text) if text else None
+        self._forgot = await self._transactions.recall(FORGOTTEN) is not None
+
+    async def decline_what_may_be_forgotten(self) -> None:
+        """Decline the offered mission if the stored transactions were damaged: nobody knows whether it was aborted.
+
+        It may still be resumed by request.
+        """
+        offer = self._missions.offer
+        if self._forgot and offer is not None:
+            _log.warning("the mission does not go on by itself: resume it, if it was not aborted")
+            await self._transactions.remember(DECLINED, offer.stored_id)
+        if self._forgot:
+            await self._transactions.remember(FORGOTTEN, None)
+            self._forgot = False
 
     # --- one request
 

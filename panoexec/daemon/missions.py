@@ -14,7 +14,7 @@ from panoexec.clock import Clock
 from panoexec.daemon.errors import MissionBusyError, MissionStorageError
 from panoexec.daemon.storage import storage_trouble
 from panoexec.devices import Severity, Vehicle
-from panoexec.errors import PanoexecError
+from panoexec.errors import PanoexecError, UsageError
 from panoexec.inputs.config import Config
 from panoexec.mission.executor import Mission
 from panoexec.mission.log.events import Event, EventSink
@@ -24,7 +24,9 @@ from panoexec.mission.mission_requests import CommandRefusedError
 from panoexec.mission.settings import MissionSettings
 from panoexec.planning.model import Plan
 from panoexec.report.mission_outputs import write_mission_outputs
+from panoexec.store.catalogue import catalogue
 from panoexec.store.directory import mission_directories
+from panoexec.store.rebuilding import VEHICLE
 from panoexec.store.session import (
     Devices,
     MissionSession,
@@ -70,6 +72,8 @@ class Missions:
         offer: the interrupted mission that `resume` continues.
         trouble: the error that ended the last mission; "" for none.
         make_way: awaited before a mission uses the devices: ends whatever else uses them.
+        damage: why the newest mission on disk cannot be read; "" for nothing.
+        writing: held while files of a mission are written that does not fly.
     """
 
     def __init__(
@@ -94,6 +98,8 @@ class Missions:
         self.offer: Offer | None = None
         self.trouble = ""
         self.make_way: Callable[[], Awaitable[None]] = _nothing_in_the_way
+        self.damage = ""
+        self.writing = asyncio.Lock()
         self._config = config
         self._clock = clock
         self._sink = sink
@@ -110,6 +116,10 @@ class Missions:
     def busy(self) -> bool:
         """Whether a mission runs or is starting."""
         return self._claimed
+
+    async def idle(self) -> None:
+        """Return when no mission runs or is starting, and the files of the last one are written."""
+        await self._idle.wait()
 
     async def under_way(self) -> Mission | None:
         """The running mission; waits for one that is starting, so that it can be commanded at once."""
@@ -162,11 +172,11 @@ class Missions:
                 plan=plan,
                 settings=settings,
                 now_utc_s=self._clock.time(),
-                extra={REFERENCE: reference},
+                extra={REFERENCE: reference, VEHICLE: self._about_vehicle()},
             )
         except PanoexecError as error:
             raise MissionStorageError(str(error)) from error
-        self.offer = None
+        self.offer, self.damage = None, ""
         self._begun.clear()
         self._next.put_nowait((stored, devices, reference))
         return stored.directory.mission_id
@@ -184,7 +194,8 @@ class Missions:
         if directory is None:
             raise NotResumableError(f"cannot resume: mission {self.offer.stored_id} is gone from {storage}")
         try:
-            stored = await open_mission(directory)
+            async with self.writing:
+                stored = await open_mission(directory)
         except PanoexecError as error:
             raise NotResumableError(str(error)) from error
         self.offer = None
@@ -194,21 +205,29 @@ class Missions:
         return directory.mission_id
 
     async def find_interrupted(self) -> bool:
-        """Find the newest mission on disk and offer it if it can be resumed.
+        """Offer the newest mission on disk if it can be resumed; the newest by its journal, not by its name.
 
         Returns:
             Whether it may resume automatically: the process died during the mission, and no pause was requested.
         """
-        directories = await asyncio.to_thread(mission_directories, self._config().storage.path)
-        if not directories:
+        missions = await asyncio.to_thread(catalogue, self._config().storage.path)
+        self.damage = ""
+        if not missions:
             return False
+        newest = missions[-1]
         try:
-            stored = await open_mission(directories[-1])
+            if newest.glance is None:
+                raise UsageError(newest.problem)
+            stored = await open_mission(newest.directory)
         except NotResumableError:
             return False
         except PanoexecError as error:
-            _log.warning("the newest mission cannot be resumed", error=str(error))
+            # an older one is not offered instead: nobody knows what this one was
+            self.damage = f"the newest mission cannot be read: panoexec salvage {newest.directory.path}"
+            _log.error("the newest mission cannot be resumed", error=str(error), advice=self.damage)
             return False
+        for text in stored.notes:
+            _log.warning("journal", mission_id=stored.directory.mission_id, note=text)
         await stored.journal.close()
         name = stored.directory.mission_id
         record = MissionRecord.from_events(mission_id=name, shots=stored.plan.shots, events=stored.events)
@@ -251,22 +270,21 @@ class Missions:
             async with asyncio.timeout(_SAY_S):
                 await vehicle.say(f"Pano: ended by an error: {self.trouble}", Severity.ERROR)
 
-    @staticmethod
-    async def _leave(stored: StoredMission) -> None:
+    async def _leave(self, stored: StoredMission) -> None:
         """Write the mission's outputs while the mission slot is still reserved: a stop waits for it."""
         try:
-            await asyncio.to_thread(write_mission_outputs, stored.directory)
+            async with self.writing:
+                await asyncio.to_thread(write_mission_outputs, stored.directory)
         except (PanoexecError, ValueError, OSError) as error:
             _log.error("mission outputs could not be written", mission_id=stored.directory.mission_id, error=str(error))
 
     async def _fly(self, stored: StoredMission, devices: Devices, reference: Reference) -> None:
-        section = self._config().vehicle
         opened = MissionSession.opened(
             stored,
             devices=devices,
             clock=self._clock,
             sink=self,
-            vehicle={"id": section.id, "connection": section.connection or f"serial {section.serial}"},
+            vehicle=self._about_vehicle(),
             reference=reference,
         )
         with structlog.contextvars.bound_contextvars(mission_id=stored.directory.mission_id):
@@ -275,6 +293,10 @@ class Missions:
                 self._changed()
                 record = await session.run()
                 _log.info("mission ended", state=record.state.value, reason=record.reason)
+
+    def _about_vehicle(self) -> dict[str, str]:
+        section = self._config().vehicle
+        return {"id": section.id, "connection": section.connection or f"serial {section.serial}"}
 
     async def _offer_again(self) -> None:
         """Offer a failed or interrupted mission for resuming in this process."""

@@ -132,7 +132,8 @@ class StatePublisher:
         offered = offer is not None and mission is None
         battery = self._vehicle.status.battery_frac
         eta = mission.eta_s if mission is not None and record is not None and record.state in FLYING else math.nan
-        state, reason = MissionState.IDLE, self._not_ready_reason
+        state = MissionState.IDLE
+        reason = "; ".join(part for part in (self._not_ready_reason, self._missions.damage) if part)
         if record is not None and not (offered and record.state in FLYING):
             state, reason = record.state, record.reason
         elif offered:

@@ -30,11 +30,12 @@ def export_set(
         InputFileError: the manifest is incomplete or damaged.
     """
     try:
-        shots = [shot for entry in document["shots"] for shot in _photos(entry, folder)]
+        shots = [shot for entry in sorted(document["shots"], key=_order) for shot in _photos(entry, folder)]
         camera = _camera(document["camera"], calibrated_focal_length_mm)
         reference = document.get("reference", {}).get("yaw_north_deg")
-        # by time; photos without a time come last, by index
-        shots.sort(key=lambda shot: (shot.time_utc_s if math.isfinite(shot.time_utc_s) else math.inf, shot.index))
+        if any(_order(entry) < 0 for entry in document["shots"]):
+            # of an earlier version: by time; photos without a time come last, by index
+            shots.sort(key=lambda shot: (shot.time_utc_s if math.isfinite(shot.time_utc_s) else math.inf, shot.index))
         return ExportSet(
             title=f"panoexec mission {document.get('mission_id', '')}".strip(),
             camera=camera,
@@ -56,6 +57,15 @@ def _camera(data: Mapping[str, Any], calibrated_mm: float | None) -> Camera:
         focal_length_mm=float(data["focal_length_mm"]),
         calibrated_focal_length_mm=data.get("calibrated_focal_length_mm") or calibrated_mm,
     )
+
+
+def _order(entry: Mapping[str, Any]) -> int:
+    """The number of the event that began the accepted attempt, 0 without one; -1 if an earlier version wrote it.
+
+    The order does not depend on capture times: the clock may be set in the middle of a mission.
+    """
+    number = entry.get("accepted_attempt")
+    return next((int(a.get("seq", -1)) for a in entry["attempts"] if a["number"] == number), 0)
 
 
 def _photos(entry: Mapping[str, Any], folder: Path) -> Iterator[ExportShot]:

@@ -22,9 +22,12 @@ _GENERALIZED_TIME: Final = 0x18
 _MEANINGS: Final[tuple[tuple[str, str], ...]] = (
     (
         "certificate has expired",
-        "the broker's certificate has expired: renew it, or check the clock of this computer",
+        "the broker's certificate has expired: renew it, or set the clock of this computer, which says {clock}",
     ),
-    ("certificate is not yet valid", "the broker's certificate is not valid yet: check the clock of this computer"),
+    (
+        "certificate is not yet valid",
+        "the broker's certificate is not valid yet: set the clock of this computer, which says {clock}",
+    ),
     ("unable to get local issuer", "the broker's certificate is not signed by mqtt.ca_file {ca}"),
     ("self-signed certificate", "the broker's certificate is not signed by mqtt.ca_file {ca}"),
     ("self signed certificate", "the broker's certificate is not signed by mqtt.ca_file {ca}"),
@@ -66,7 +69,7 @@ class Validity:
         if now > self.end:
             return f"expired on {self.end:%Y-%m-%d %H:%M} UTC: renew it"
         if now < self.begin:
-            return f"is not valid before {self.begin:%Y-%m-%d %H:%M} UTC: check the clock of this computer"
+            return f"is not valid before {_shown(self.begin)}: set the clock of this computer, which says {_shown(now)}"
         return ""
 
 
@@ -102,8 +105,13 @@ def explained(text: str, settings: MqttSection) -> str:
     for part, meaning in _MEANINGS:
         if part in low:
             where = {"host": settings.host, "port": settings.port, "ca": settings.ca_file, "cert": settings.cert_file}
+            where["clock"] = _shown(datetime.now(UTC))
             return f"{meaning.format(**where)} ({text})"
     return text
+
+
+def _shown(moment: datetime) -> str:
+    return f"{moment:%Y-%m-%d %H:%M} UTC"
 
 
 def _first_certificate(pem: str) -> bytes:

@@ -17,7 +17,7 @@ from panoexec.mission.log.events import Event
 from panoexec.mission.settings import MissionSettings
 from panoexec.store.directory import MissionDirectory
 from panoexec.store.journal import read_journal
-from panoexec.store.manifest import read_manifest
+from panoexec.store.rebuilding import current_manifest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +71,7 @@ def read_source(directory: MissionDirectory) -> Source:
     Raises:
         InputFileError: the manifest is missing or damaged.
     """
-    manifest = read_manifest(directory.manifest)
+    manifest = current_manifest(directory)
     notes: list[str] = []
     plan, settings, simulated = None, None, False
     events: tuple[Event, ...] = ()

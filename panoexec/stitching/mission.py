@@ -18,7 +18,7 @@ from panoexec.inputs.plan_file import read_plan_file
 from panoexec.planning.model import AngleBox, Band, Tolerance
 from panoexec.stitching.tools import StitchError
 from panoexec.store.directory import existing_mission_directory
-from panoexec.store.manifest import read_manifest
+from panoexec.store.rebuilding import current_manifest
 
 _WHOLE_SPHERE = Band(elevation_min_deg=-90.0, elevation_max_deg=90.0)
 _USUAL_TOLERANCE = Tolerance(pitch_deg=0.1, roll_deg=0.1, yaw_deg=0.7)
@@ -60,7 +60,7 @@ def load_mission(path: Path) -> StitchInput:
         StitchError: it has no usable photo.
     """
     directory = existing_mission_directory(path)
-    document = read_manifest(directory.manifest)
+    document = current_manifest(directory)
     band, tolerance, calibrated = _WHOLE_SPHERE, _USUAL_TOLERANCE, None
     masks: tuple[AngleBox, ...] = ()
     if directory.plan.exists():

@@ -46,13 +46,20 @@ class MissionDirectory:
         return self.path / "report.html"
 
     @property
+    def outputs(self) -> Path:
+        """What exports and report were written from."""
+        return self.path / "outputs.json"
+
+    @property
     def images(self) -> Path:
         """The folder of the photos."""
         return self.path / "images"
 
 
 def new_mission_directory(storage: Path, *, now_utc_s: float) -> MissionDirectory:
-    """Create the directory of a new mission; its name is the UTC time to the millisecond, so names sort by time.
+    """Create the directory of a new mission; its name is the UTC time to the millisecond, or the next free one.
+
+    A clock that was set back gives an earlier name: the order of missions is that of `panoexec.store.catalogue`.
 
     Raises:
         UsageError: it cannot be created; the message names the directory and the system's reason.
@@ -97,7 +104,7 @@ def existing_mission_directory(path: Path) -> MissionDirectory:
 
 
 def mission_directories(storage: Path) -> list[MissionDirectory]:
-    """All mission directories of a storage, oldest first."""
+    """All mission directories of a storage, by name."""
     missions = storage / "missions"
     if not missions.is_dir():
         return []

@@ -5,6 +5,10 @@ the plan's yaw 0): a unit quaternion `[w, x, y, z]` from camera to that frame, a
 roll, pitch (3-1-2): R = Rz(yaw) · Rx(roll) · Ry(pitch). This is the order of a gimbal's axes, to which tolerances
 refer; at roll 0 it equals the usual 3-2-1 angles. `reference.yaw_north_deg` converts plan yaw to yaw from true north.
 Errors are measured minus target (`planning.geometry.pose_error`), the largest over the exposure.
+
+The manifest is derived from the journal: `journal.events` says up to which event. `digest` is the seal of everything
+else (of the head, then of each shot, as compact JSON in the order of the document), so that damage is noticed although
+the journal is not at hand, and although another program laid the text out anew.
 """
 
 from __future__ import annotations
@@ -13,7 +17,7 @@ import asyncio
 import functools
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -22,6 +26,7 @@ from urllib.parse import unquote, urlsplit
 from panoexec.angles import rotation
 from panoexec.clock import Clock
 from panoexec.codec import encode
+from panoexec.durable.seals import seal
 from panoexec.errors import InputFileError, UsageError
 from panoexec.files import write_atomically
 from panoexec.inputs.plan_file import camera_to_data, certificate_to_data
@@ -78,12 +83,14 @@ class ManifestWriter:
         self._battery = battery
         self._charges = _earlier_charges(path)
         self._dirty = asyncio.Event()
-        self._shots: dict[int, str] = {}
+        self._events = record.seq
+        self._shots: dict[int, tuple[str, bytes]] = {}
 
     def publish(self, event: ev.Event) -> None:
         """See `EventSink.publish`."""
         if isinstance(event, ev.ShotEvent):
             self._shots.pop(event.shot, None)
+        self._events = max(self._events, event.seq)
         self._note_charge()
         self._dirty.set()
 
@@ -127,11 +134,13 @@ class ManifestWriter:
         for index, shot in record.shots.items():
             if index not in self._shots:
                 data = _shot_json(shot, record.reference_yaw_north_deg, self._path.parent)
-                self._shots[index] = (
-                    f"  {json.dumps(data)}"  # one line: three times as fast as indented, and a third shorter
-                )
-        head = json.dumps(self._head(), indent=1).removesuffix("\n}")
-        shots = ",\n".join(self._shots[index] for index in sorted(record.shots))
+                text = json.dumps(data)  # one line: three times as fast as indented, and a third shorter
+                self._shots[index] = f"  {text}", seal(text)
+        lines = [self._shots[index] for index in sorted(record.shots)]
+        document = self._head()
+        document["digest"] = _digest(document, [digest for _, digest in lines])
+        head = json.dumps(document, indent=1).removesuffix("\n}")
+        shots = ",\n".join(line for line, _ in lines)
         return f'{head},\n "shots": [\n{shots}\n ]\n}}\n'
 
     def _head(self) -> dict[str, Any]:
@@ -141,6 +150,8 @@ class ManifestWriter:
         tolerance = plan.constraints.tolerance
         return {
             "format": FORMAT,
+            "digest": "",
+            "journal": {"events": self._events},
             "mission_id": record.mission_id,
             "state": record.state.value,
             "reason": record.reason,
@@ -174,10 +185,10 @@ class ManifestWriter:
 
 
 def read_manifest(path: Path) -> dict[str, Any]:
-    """Read a manifest.
+    """Read a manifest. One without `digest` and `journal`, of an earlier version, is unchecked.
 
     Raises:
-        InputFileError: it cannot be read, is not JSON, or is not a manifest of this version.
+        InputFileError: it cannot be read, is not JSON, is not a manifest of this version, or was changed since.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -188,7 +199,30 @@ def read_manifest(path: Path) -> dict[str, Any]:
     found = document.get("format") if isinstance(document, dict) else None
     if found != FORMAT:
         raise InputFileError(str(path), [f'format: {found!r} found, "{FORMAT}" expected'])
+    if not _is_whole(document):
+        raise InputFileError(str(path), ["damaged, or changed since it was written; its digest is that of other data"])
     return document  # type: ignore[no-any-return]
+
+
+def manifest_events(document: Mapping[str, Any]) -> int | None:
+    """Up to which event of the journal a manifest tells; None if an earlier version wrote it."""
+    journal = document.get("journal")
+    return int(journal["events"]) if isinstance(journal, dict) else None
+
+
+def _is_whole(document: Mapping[str, Any]) -> bool:
+    if "digest" not in document and "journal" not in document:
+        return True
+    shots = document.get("shots")
+    if not isinstance(shots, list):
+        return False
+    head = {key: value for key, value in document.items() if key != "shots"}
+    return document.get("digest") == _digest(head, [seal(json.dumps(shot)) for shot in shots])
+
+
+def _digest(head: Mapping[str, Any], shots: Sequence[bytes]) -> str:
+    """The digest of a manifest, given everything except the shots, and the seal of each shot."""
+    return seal(json.dumps({key: value for key, value in head.items() if key != "digest"}), *shots).hex()
 
 
 def _earlier_charges(path: Path) -> list[tuple[float, float]]:
@@ -253,6 +287,7 @@ def _attempt_json(attempt: AttemptRecord, folder: Path) -> dict[str, Any]:
         "by": attempt.by,
         "code": attempt.code,
         "reason": attempt.reason,
+        "seq": attempt.seq,
         "started": iso_utc(attempt.started_utc_s),
         "target": _target_json(attempt.pitch_deg, attempt.yaw_deg),
         "measured": None,

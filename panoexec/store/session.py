@@ -29,8 +29,10 @@ from panoexec.mission.protocols import Journal
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.waiting import first_failure
 from panoexec.planning.model import Plan
+from panoexec.store.catalogue import next_number
 from panoexec.store.directory import MissionDirectory, new_mission_directory
-from panoexec.store.journal import WRITTEN_BY, JournalFileError, SqliteJournal, read_journal
+from panoexec.store.journal import DamagedJournalError, SqliteJournal, load_journal
+from panoexec.store.journal_layout import MISSION_ID, NUMBER, WRITTEN_BY
 from panoexec.store.manifest import ManifestWriter
 
 
@@ -58,6 +60,7 @@ class StoredMission:
         settings: the settings at its start.
         extra: additional data of the daemon or the dry-run.
         events: all events so far.
+        notes: what is to be told about the journal: content is unchecked, the last write was interrupted.
     """
 
     directory: MissionDirectory
@@ -66,6 +69,7 @@ class StoredMission:
     settings: MissionSettings
     extra: Mapping[str, Any]
     events: tuple[Event, ...]
+    notes: tuple[str, ...] = ()
 
 
 async def create_mission(
@@ -77,17 +81,19 @@ async def create_mission(
         storage: the storage root; the directory is created below its `missions` folder.
         plan: the plan of the mission.
         settings: the settings of the mission.
-        now_utc_s: start time, which becomes the mission id.
+        now_utc_s: start time, which becomes the mission id; the order of missions does not depend on it.
         extra: additional data, stored as JSON.
 
     Raises:
         UsageError: the directory cannot be written.
     """
+    number = await asyncio.to_thread(next_number, storage)
     directory = await asyncio.to_thread(new_mission_directory, storage, now_utc_s=now_utc_s)
     await asyncio.to_thread(write_plan, directory.plan, plan)
     head = {
-        "mission_id": directory.mission_id,
+        MISSION_ID: directory.mission_id,
         WRITTEN_BY: __version__,
+        NUMBER: str(number),
         "plan": json.dumps(plan_to_data(plan)),
         "settings": json.dumps(encode(settings)),
         "extra": json.dumps(dict(extra or {})),
@@ -108,18 +114,25 @@ async def open_mission(directory: MissionDirectory) -> StoredMission:
     """
     # checked read-only first: opening for writing merges the write-ahead log, and a rejected journal must stay
     # unchanged
-    head, events = await asyncio.to_thread(read_journal, directory.journal)
+    contents = await asyncio.to_thread(load_journal, directory.journal)
+    head, events = contents.head, list(contents.events)
     try:
         plan_data = json.loads(head["plan"])
         settings = decode(MissionSettings, json.loads(head["settings"]))
         extra = json.loads(head["extra"])
     except (KeyError, ValueError) as error:
-        raise JournalFileError(f"{directory.journal}: damaged ({error}); the file was not changed") from error
+        raise DamagedJournalError(f"{directory.journal}: damaged ({error}); the file was not changed") from error
     plan = plan_from_data(plan_data, source=f"{directory.journal} (plan)").plan()
     _check_resumable(directory, plan, events)
     journal = await SqliteJournal.open(directory.journal)
     return StoredMission(
-        directory=directory, journal=journal, plan=plan, settings=settings, extra=extra, events=tuple(events)
+        directory=directory,
+        journal=journal,
+        plan=plan,
+        settings=settings,
+        extra=extra,
+        events=tuple(events),
+        notes=contents.notes,
     )
 
 
@@ -127,7 +140,7 @@ def _check_resumable(directory: MissionDirectory, plan: Plan, events: list[Event
     try:
         record = MissionRecord.from_events(mission_id=directory.mission_id, shots=plan.shots, events=events)
     except (MissionError, ValueError, LookupError) as error:
-        raise JournalFileError(f"{directory.journal}: damaged ({error}); the file was not changed") from error
+        raise DamagedJournalError(f"{directory.journal}: damaged ({error}); the file was not changed") from error
     if record.state in FINISHED:
         raise NotResumableError(
             f"{directory.path}: the mission is {record.state} ({record.reason}) and cannot be resumed; start a new one"

@@ -209,6 +209,7 @@ def test_a_mission_directory(mission_path: Path) -> None:
 
 
 def test_an_unfinished_mission(mission_path: Path) -> None:
+    (mission_path / "journal.sqlite").unlink()  # it would know better
     manifest = mission_path / "manifest.json"
     data = json.loads(manifest.read_text())
     data |= {"certificate": None, "state": "paused", "reference": {"kind": "heading", "yaw_north_deg": None}}

@@ -95,11 +95,20 @@ def test_the_plan_file(tmp_path: Path) -> None:
 def test_the_mission_directory() -> None:
     cells = re.findall(r"^\| (`.*`) \|", section("Mission directory"), re.MULTILINE)
     directory = MissionDirectory(Path("x"))
-    paths = (directory.plan, directory.manifest, directory.journal, directory.report, directory.images)
+    paths = (
+        directory.plan,
+        directory.manifest,
+        directory.journal,
+        directory.report,
+        directory.outputs,
+        directory.images,
+    )
     assert {path.name for path in paths} <= {name for cell in cells for name in code(cell)}
     text = section("Mission directory")
     recorded = json.loads((ROOT / "tests" / "data" / "recorded" / "manifest.json").read_text(encoding="utf-8"))
+    recorded |= {"digest": "", "journal": {}}  # an earlier version wrote it
     shot = recorded["shots"][0]
+    shot["attempts"][0]["seq"] = 0
     assert {*between(text, f'(`"format": "{manifest.FORMAT}"`) has', "A shot has"), "format"} == {*recorded}
     assert set(between(text, "A shot has", "An attempt has")) == {*shot}
     assert set(between(text, "An attempt has", "What each value means")) == {*shot["attempts"][0]}
@@ -137,7 +146,7 @@ def test_sections_of_the_configuration() -> None:
     assert [name.strip("[]") for name in rows("Configuration")] == list(Config.model_fields)
 
 
-@pytest.mark.parametrize("verb", ["import", "missions", "fetch", "web", "calibrate", "salvage", "demo"])
+@pytest.mark.parametrize("verb", ["import", "missions", "fetch", "web", "calibrate", "demo"])
 def test_what_is_planned_is_not_there_yet(verb: str) -> None:
     """What is built has to move up."""
     assert verb not in COMMANDS

@@ -140,6 +140,7 @@ def test_the_validity_of_a_certificate(authority: Authority, tmp_path: Path) -> 
     assert f"{far.end:%Y}" == "2060"
     assert far.problem(far.begin) == ""
     assert "not valid before 2025-01-02" in far.problem(far.begin.replace(year=2024))
+    assert "set the clock of this computer, which says 1970-01-02" in far.problem(far.begin.replace(year=1970))
     assert "expired on 2060" in far.problem(far.end.replace(year=2061))
     for content in ("", "-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n", "\x80"):
         (tmp_path / "no.crt").write_text(content)

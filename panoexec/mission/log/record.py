@@ -53,6 +53,8 @@ class AttemptRecord:
     pitch_deg: float
     yaw_deg: float
     started_utc_s: float
+    seq: int = 0
+    """Number of the event that began it: the order of attempts, whatever the clock says."""
     verdict: Verdict = Verdict.OPEN
     by: str = ""
     code: str = ""
@@ -281,6 +283,7 @@ class MissionRecord:
                         pitch_deg=event.pitch_deg,
                         yaw_deg=event.yaw_deg,
                         started_utc_s=event.time_utc_s,
+                        seq=event.seq,
                     )
                 )
                 record.status = ShotStatus.ACTIVE

@@ -86,6 +86,16 @@ def test_the_accepted_attempts_in_the_order_taken(tmp_path: Path) -> None:
     assert {"panorama.pto", "papywizard.xml", "shots.csv", "images/b.xmp", "xmp/late.xmp"} <= names
 
 
+def test_the_order_taken_does_not_depend_on_the_clock(tmp_path: Path) -> None:
+    """It was set back by 20 s between two shots."""
+    document = manifest(
+        shot(0, 1, attempt(1, "accepted", pose(0.0, -40.0), "second.jpg", second=10) | {"seq": 9}),
+        shot(1, 1, attempt(1, "accepted", pose(9.0, -40.0), "first.jpg", second=30) | {"seq": 4}),
+        shot(2, None, attempt(1, "rejected", None, "none.jpg", second=5) | {"seq": 6}),
+    )
+    assert [s.file_name for s in export_set(document, tmp_path).shots] == ["first.jpg", "second.jpg"]
+
+
 def test_brackets_are_photos_of_their_own_and_an_open_loop_pose_is_the_target(tmp_path: Path) -> None:
     made = export_set(manifest(shot(3, 1, attempt(1, "accepted", None, "a.jpg", "b.jpg"))), tmp_path)
     assert [(s.file_name, s.bracket, s.measured) for s in made.shots] == [("a.jpg", 1, False), ("b.jpg", 2, False)]

@@ -20,6 +20,7 @@ from panoexec.store.directory import MissionDirectory
 from panoexec.store.journal import JournalFileError
 from panoexec.store.session import create_mission, open_mission
 from tests.unit.fakes.world import a_plan, some_settings
+from tests.unit.store.rewriting import rewrite
 
 EVENTS = 12
 LOG = "journal.sqlite-wal"
@@ -135,9 +136,7 @@ def test_events_that_make_no_sense(journals: Journals, tmp_path: Path) -> None:
         folder = tmp_path / "mission"
         shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(journals.closed, folder)
-        with sqlite3.connect(folder / "journal.sqlite") as connection:
-            connection.execute("UPDATE events SET json = ? WHERE seq = 5", (text,))
-        connection.close()
+        rewrite(folder / "journal.sqlite", texts={5: text})
         outcome = _outcome(folder)
         assert isinstance(outcome, str)
         assert "damaged" in outcome
@@ -167,10 +166,8 @@ async def test_a_full_disk_is_called_so(journals: Journals, monkeypatch: pytest.
 def test_what_another_version_wrote_is_not_called_damaged(journals: Journals, tmp_path: Path) -> None:
     folder = tmp_path / "mission"
     shutil.copytree(journals.closed, folder)
-    with sqlite3.connect(folder / "journal.sqlite") as connection:
-        connection.execute("UPDATE events SET json = ? WHERE seq = 5", ('{"type": "moon_landing", "seq": 5}',))
-        connection.execute("UPDATE head SET value = '99.1' WHERE key = 'panoexec'")
-    connection.close()
+    moon = '{"type": "moon_landing", "seq": 5}'
+    rewrite(folder / "journal.sqlite", texts={5: moon}, head={"panoexec": "99.1"})
     outcome = _outcome(folder)
     assert isinstance(outcome, str)
     assert "written by panoexec 99.1" in outcome

@@ -16,7 +16,9 @@ import pytest
 
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
-from panoexec.store.journal import APPLICATION_ID, JournalFileError, JournalWriteError, SqliteJournal, read_journal
+from panoexec.store.journal import JournalFileError, JournalWriteError, SqliteJournal, load_journal, read_journal
+from panoexec.store.journal_layout import APPLICATION_ID
+from tests.unit.store.rewriting import rewrite, unseal
 
 HEAD = {"mission_id": "m1", "plan": '{"format": "panoexec.plan/1"}'}
 
@@ -117,7 +119,7 @@ def test_a_journal_killed_right_after_its_birth_is_recognised(tmp_path: Path) ->
 
 def _newer(path: Path) -> None:
     with sqlite3.connect(path) as connection:
-        connection.execute("PRAGMA user_version = 2")
+        connection.execute("PRAGMA user_version = 7")
     connection.close()
 
 
@@ -141,9 +143,16 @@ def _gap(path: Path) -> None:
 
 
 def _nonsense(path: Path) -> None:
-    with sqlite3.connect(path) as connection:
-        connection.execute('UPDATE events SET json = \'{"type": "moon_landing"}\' WHERE seq = 2')
-    connection.close()
+    rewrite(path, texts={2: '{"type": "moon_landing"}'})
+
+
+def _sql(statement: str) -> Callable[[Path], None]:
+    def change(path: Path) -> None:
+        with sqlite3.connect(path) as connection:
+            connection.executescript(statement)
+        connection.close()
+
+    return change
 
 
 @pytest.mark.parametrize(
@@ -153,10 +162,30 @@ def _nonsense(path: Path) -> None:
         (lambda path: path.write_bytes(b"half a page" * 30), "not an SQLite file"),
         (lambda path: path.write_bytes(path.read_bytes()[:5000]), "damaged"),
         (_torn, "damaged"),
-        (_newer, r"newer panoexec \(layout 2, this one reads up to 1\)"),
+        (_newer, r"newer panoexec \(layout 7, this one reads up to 2\)"),
         (_foreign, "not a panoexec journal"),
         (_gap, "damaged .event 2 is missing"),
         (_nonsense, "damaged .*moon_landing"),
+        (lambda path: rewrite(path, keep=lambda seq: seq != 2), "damaged .event 2 is missing"),
+        (_sql("UPDATE events SET json = replace(json, '7', '8') WHERE seq = 7"), "damaged .event 7 was changed"),
+        (_sql("UPDATE events SET time_utc_s = 1 WHERE seq = 9"), "damaged .event 9 was changed"),
+        (_sql("UPDATE events SET seal = zeroblob(16) WHERE seq = 9"), "damaged .event 9 was changed"),
+        (_sql("DELETE FROM events WHERE seq > 30"), "damaged .40 events were written, 30 are there"),
+        (_sql("DELETE FROM events"), "damaged .40 events were written, 0 are there"),
+        (
+            _sql(
+                "UPDATE events SET seq = 99 WHERE seq = 4; UPDATE events SET seq = 4 WHERE seq = 5;"
+                "UPDATE events SET seq = 5 WHERE seq = 99"
+            ),
+            "damaged .event 4 was changed",
+        ),
+        (_sql("UPDATE tail SET events = 39"), "damaged .39 events were written, 40 are there"),
+        (_sql("DELETE FROM tail"), "damaged .the number of events is missing"),
+        (_sql("UPDATE head SET value = replace(value, 'plan', 'flan')"), "damaged .plan was changed"),
+        (_sql("UPDATE head SET value = 'm2' WHERE key = 'mission_id'"), "damaged .mission_id and plan was changed"),
+        (_sql("DELETE FROM head WHERE key = 'plan'"), "damaged .a part of the head is missing"),
+        (_sql("PRAGMA user_version = 1"), "damaged .layout 1 with other tables"),
+        (_sql("ALTER TABLE events DROP COLUMN seal"), "damaged .layout 2 with other tables"),
     ],
 )
 async def test_damage_is_refused_and_nothing_is_overwritten(
@@ -243,3 +272,23 @@ def test_what_is_no_journal_is_not_read(tmp_path: Path) -> None:
     (tmp_path / "journal.sqlite").write_bytes(b"no database at all" * 20)
     with pytest.raises(JournalFileError, match="not an SQLite file"):
         read_journal(tmp_path / "journal.sqlite")
+
+
+async def test_a_journal_without_seals_is_read_and_sealed_when_it_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "journal.sqlite"
+    await _young(path)
+    unseal(path)
+    before = path.read_bytes()
+    contents = load_journal(path)
+    assert (contents.head, contents.events) == (HEAD, _events(1, 3))
+    assert ["unchecked" in text for text in contents.notes] == [True]
+    assert path.read_bytes() == before
+    async with await SqliteJournal.open(path) as journal:
+        await journal.append(_events(4, 1))
+    contents = load_journal(path)
+    assert contents.head == HEAD | {"sealed_later": "3"}
+    assert contents.events == _events(1, 4)
+    assert contents.notes == ("events up to 3 were sealed later: before that, unchecked",)
+    _sql("UPDATE events SET json = replace(json, '2', '3') WHERE seq = 2")(path)
+    with pytest.raises(JournalFileError, match="event 2 was changed"):
+        load_journal(path)

@@ -156,6 +156,11 @@ def test_the_manifest_can_be_written_anew_from_plan_and_journal(mission: Mission
         certificate=lambda: certify_measured(replace(plan, certificate=certificate), rotations, rows),
     )
     written = json.loads(writer.text())
+    assert written.pop("journal") == {"events": EVENTS}
+    assert len(written.pop("digest")) == 32
+    orders = [attempt.pop("seq") for shot in written["shots"] for attempt in shot["attempts"]]
+    assert min(orders) > 0
+    assert len(set(orders)) == len(orders)
     for document in (recorded, written):
         document["times"].pop("written")
         document.pop("battery")  # it is in no event

@@ -131,7 +131,7 @@ def _change(statement: str) -> Callable[[Path], None]:
         (_change("UPDATE head SET value = '{\"attempts\": 3}' WHERE key = 'settings'"), "damaged"),
         (_change("DELETE FROM events WHERE seq = 4"), "damaged"),
         (_change("UPDATE events SET json = replace(json, '\"shot\":0', '\"shot\":77')"), "damaged"),
-        (_change("PRAGMA user_version = 2"), r"newer panoexec .*update panoexec to resume it"),
+        (_change("PRAGMA user_version = 7"), r"newer panoexec .*update panoexec to resume it"),
         (lambda path: path.write_bytes(path.read_bytes()[:6000]), "damaged"),
         (lambda path: path.write_bytes(b""), "not an SQLite file"),
         (lambda path: path.unlink(), "there is no journal"),
