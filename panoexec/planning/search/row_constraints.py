@@ -180,11 +180,13 @@ class RowConstraints:
         """Minimum number of images by C2 alone at pitches (k,)."""
         least = self.demands.least_count
         if not self.layout.closed:
-            widest = np.maximum(self._spacing.widest(pitch_deg), 360.0 / MOST_IN_A_ROW)
+            allowed = self._spacing.widest(pitch_deg)
+            widest = np.maximum(allowed, 360.0 / MOST_IN_A_ROW)
             fewest = np.ceil(self.layout.span_deg / widest - 0.5)
             # what the gimbal cannot pan to needs no images
             fewest = np.minimum(fewest, 1.0 + np.ceil(self.layout.usable_deg / widest))
-            return np.maximum(least, fewest.astype(np.intp))
+            # where neighbours never overlap enough only a single image remains
+            return np.maximum(least, np.where(allowed > 0, fewest, 1.0).astype(np.intp))
         most = len(self._least_steep) - 1
         if self._most_turned > most:
             nodes, fewest = self._fewest_turned

@@ -51,7 +51,9 @@ class RowRelaxation:
         self._wanted = wanted
         self._more_images = more_images
         height = rules.camera.vfov_deg
-        low, high = rules.pitch_deg
+        # no image farther away sees anything of the band
+        beyond = rules.camera.hfov_deg + height
+        low, high = (min(max(end, rules.band_deg[0] - beyond), rules.band_deg[1] + beyond) for end in rules.pitch_deg)
         grid = _GRID if height > _LOW_DEG else _GRID_MANY
         count = max(2, math.ceil((high - low) / height * grid) + 1)
         self._grid = np.linspace(low, high, count)
