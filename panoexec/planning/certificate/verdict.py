@@ -28,6 +28,7 @@ from panoexec.angles import FloatArray, wrap_180, yaw_pitch_roll
 from panoexec.optics import Camera
 from panoexec.planning.certificate.adjacency import MUTUAL_OVERLAP, Connection, Rows, SparseGraph, separated_by_mask
 from panoexec.planning.certificate.coverage import is_covered, neighbours
+from panoexec.planning.certificate.extra_images import certified_part
 from panoexec.planning.certificate.holes import Uncovered, uncovered
 from panoexec.planning.certificate.robust_footprint import robust_cores
 from panoexec.planning.certificate.worst_overlap import (
@@ -50,8 +51,19 @@ IntArray = NDArray[np.intp]
 
 
 def certify(plan: Plan) -> Certificate:
-    """Certify the shots of a plan for its camera and constraints; images are identified by `Shot.index`."""
-    certificate = certify_poses(plan.camera, plan.constraints, plan.rotations(), [shot.row for shot in plan.shots])
+    """Certify the shots of a plan for its camera and constraints; images are identified by `Shot.index`.
+
+    Images beyond those of a part that is certified do not make a plan fail, see `extra_images`.
+    """
+    poses, rows = plan.rotations(), [shot.row for shot in plan.shots]
+    certificate = certify_poses(plan.camera, plan.constraints, poses, rows)
+    if not certificate.certified:
+
+        def certify_some(which: Sequence[int]) -> Certificate:
+            some = [rows[i] for i in which]
+            return certify_poses(plan.camera, plan.constraints, poses[list(which)], some, explain=False)
+
+        certificate = certified_part(certificate, rows, plan.constraints, certify_some) or certificate
     names = [shot.index for shot in plan.shots]
     if names == list(range(len(names))):
         return certificate
