@@ -78,7 +78,9 @@ def border_gaps(cores: Cores, domain: Domain, margin_rad: float = MARGIN_RAD) ->
     first, second = neighbours(cores)
     begin = np.searchsorted(first, np.arange(len(cores) + 1))
     most = int(np.diff(begin).max(initial=0))
-    block = max(1, _AT_A_TIME // max(1, most * cores.vertices.shape[1] ** 2))
+    corners = cores.vertices.shape[1]
+    # compared are all corners of a core with all of a neighbour, and all its edges with all boxes outside the domain
+    block = max(1, _AT_A_TIME // max(1, most * corners**2, corners * len(domain.outside_boxes)))
     found = []
     for start in range(0, len(cores), block):
         stop = min(start + block, len(cores))
