@@ -3,9 +3,7 @@
 The format has no file names: readers match its pictures and the photos by their order, so it contains only the accepted
 photos, in the order in which they were taken.
 
-Readers interpret yaw, pitch and roll as 3-2-1 angles. Near the poles a small roll of the gimbal can become any roll in
-that order, which turns images upside down in PTGui. So beyond ±80° of pitch the gimbal's own yaw and pitch are written
-with roll 0; the error is the gimbal's roll, which is within the tolerance.
+Readers interpret yaw, pitch and roll as 3-2-1 angles; near the poles they are those of `polar_angles`.
 """
 
 from __future__ import annotations
@@ -15,18 +13,18 @@ from datetime import UTC, datetime
 from typing import Final
 from xml.etree import ElementTree as ET
 
-from panoexec.angles import wrap_180, yaw_pitch_roll, yaw_pitch_roll_321
+from panoexec.angles import wrap_180, yaw_pitch_roll_321
 from panoexec.exports.model import ExportSet, ExportShot
+from panoexec.exports.polar import polar_angles
 
-_POLAR_DEG: Final = 80.0
 _FULL_FRAME_DIAGONAL_MM: Final = math.hypot(36, 24)
 
 
 def papywizard_angles(shot: ExportShot) -> tuple[float, float, float]:
     """Yaw, pitch and roll in the format's convention, degrees."""
-    gimbal_yaw, gimbal_pitch, _ = (float(angle) for angle in yaw_pitch_roll(shot.rotation))
-    if abs(gimbal_pitch) > _POLAR_DEG:
-        return gimbal_yaw, min(90.0, max(-90.0, gimbal_pitch)), 0.0
+    polar = polar_angles(shot.rotation)
+    if polar is not None:
+        return *polar, 0.0
     yaw, pitch, roll = (float(angle) for angle in yaw_pitch_roll_321(shot.rotation))
     return float(wrap_180(yaw)), pitch, roll
 

@@ -12,19 +12,23 @@ from pathlib import Path, PurePosixPath
 from panoexec.angles import rotation
 from panoexec.exports.hugin import canvas_px
 from panoexec.exports.model import ExportSet, ExportShot
+from panoexec.exports.polar import polar_angles
 from panoexec.files import write_atomically
 from panoexec.formats.xmp import Position, attitude_properties, gpano_properties, packet
 
 
 def sidecar_text(exports: ExportSet, shot: ExportShot) -> str:
-    """The XMP packet of one image; its yaw is from true north, as readers expect."""
-    to_north = rotation(exports.reference_yaw_north_deg, 0.0)
+    """The XMP packet of one image; its yaw is from true north, as readers expect, near the poles too."""
+    pose = rotation(exports.reference_yaw_north_deg, 0.0) @ shot.rotation
+    polar = polar_angles(pose)
+    if polar is not None:
+        pose = rotation(*polar)
     position = None
     if math.isfinite(shot.latitude_deg) and math.isfinite(shot.longitude_deg):
         position = Position(
             latitude_deg=shot.latitude_deg, longitude_deg=shot.longitude_deg, altitude_m=shot.altitude_m
         )
-    return packet(attitude_properties(to_north @ shot.rotation, position=position))
+    return packet(attitude_properties(pose, position=position))
 
 
 def sidecar_path(folder: Path, shot: ExportShot) -> Path:

@@ -12,6 +12,7 @@ Both are computed from the rotation matrix, not from angles of another sequence,
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -97,10 +98,13 @@ def gpano_properties(
         cropped_height_px: likewise its height.
         left_px: column of the whole sphere where the picture starts.
         top_px: likewise its row.
-        heading_deg: true heading of the middle column of the whole sphere.
+        heading_deg: true heading of the middle column of the whole sphere; NaN if unknown.
     """
     height = full_width_px // 2
-    return {
+    heading = (
+        {} if math.isnan(heading_deg) else {"GPano:PoseHeadingDegrees": f"{round(heading_deg % 360, 3) % 360:.3f}"}
+    )
+    return heading | {
         "GPano:ProjectionType": "equirectangular",
         "GPano:UsePanoramaViewer": "True",
         "GPano:FullPanoWidthPixels": str(full_width_px),
@@ -109,7 +113,6 @@ def gpano_properties(
         "GPano:CroppedAreaImageHeightPixels": str(cropped_height_px or height),
         "GPano:CroppedAreaLeftPixels": str(left_px),
         "GPano:CroppedAreaTopPixels": str(top_px),
-        "GPano:PoseHeadingDegrees": f"{heading_deg % 360:.3f}",
     }
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeAlias
 
@@ -40,6 +41,10 @@ from panoexec.planning.model import (
 FORMAT = "panoexec.plan/1"
 MAX_SHOTS = 100_000
 _SAME_PITCH_DEG = 1e-3
+_MOST_IN_ROW_DEG = 3.0
+"""Largest step between the pitches of photos of one row."""
+
+_CLEAR_GROWTH = 3.0
 _FOV_AGREES_DEG = 0.5
 
 Whole: TypeAlias = Annotated[int, Strict()]
@@ -273,12 +278,29 @@ def _wrapped(yaw_deg: float) -> float:
 
 
 def _with_rows(shots: Sequence[Shot]) -> list[Shot]:
-    """Number rows from the lowest pitch up; pitches that differ by less than 0.001° belong to one row."""
+    """Number rows from the lowest pitch up; the pitches of a row may differ, see `row_gap_deg`."""
+    ordered = sorted(shots, key=lambda s: s.pitch_deg)
+    limit = row_gap_deg([shot.pitch_deg for shot in ordered])
     rows: dict[int, int] = {}
     row, last = -1, -1000.0
-    for shot in sorted(shots, key=lambda s: s.pitch_deg):
-        if shot.pitch_deg - last > _SAME_PITCH_DEG:
+    for shot in ordered:
+        if shot.pitch_deg - last > limit:
             row += 1
         last = shot.pitch_deg
         rows[shot.index] = row
     return [replace(shot, row=rows[shot.index]) for shot in shots]
+
+
+def row_gap_deg(pitches_deg: Sequence[float]) -> float:
+    """The step between ascending pitches (n,) above which a new row begins.
+
+    Photos of a row, as measured or optimised, differ by a degree or two. Steps within rows are small and those between
+    rows large: the limit lies where the steps, in order of size, grow by the largest factor. Without a clear such
+    place pitches that differ by less than 0.001° are a row.
+    """
+    steps = sorted(max(b - a, _SAME_PITCH_DEG) for a, b in pairwise(pitches_deg))
+    growth, limit = max(
+        ((larger / smaller, smaller) for smaller, larger in pairwise(steps) if smaller <= _MOST_IN_ROW_DEG),
+        default=(1.0, 0.0),
+    )
+    return limit if growth >= _CLEAR_GROWTH else _SAME_PITCH_DEG

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import PIL.Image
@@ -16,6 +16,7 @@ from panoexec.formats.hugin_pto import PtoProject
 from panoexec.formats.jpeg_header import read_jpeg_header
 from panoexec.inputs.plan_file import read_plan_file
 from panoexec.planning.model import AngleBox, Band, Tolerance
+from panoexec.stitching.place import Place, place_of
 from panoexec.stitching.tools import StitchError
 from panoexec.store.directory import existing_mission_directory
 from panoexec.store.rebuilding import current_manifest
@@ -36,7 +37,7 @@ class StitchInput:
         tolerance: error bound of the measured attitudes.
         left_out: unusable photos by name, with the reason.
         missing_shots: shots without an accepted photo.
-        heading_deg: true heading of the canvas's middle.
+        place: where and when it was taken; its heading is that of the canvas's middle.
     """
 
     folder: Path
@@ -46,7 +47,7 @@ class StitchInput:
     masks: tuple[AngleBox, ...] = ()
     left_out: Mapping[str, str]
     missing_shots: tuple[int, ...] = ()
-    heading_deg: float = 0.0
+    place: Place = field(default_factory=Place)
 
 
 def load_mission(path: Path) -> StitchInput:
@@ -90,7 +91,7 @@ def load_mission(path: Path) -> StitchInput:
         tolerance=tolerance,
         left_out=left_out,
         missing_shots=missing,
-        heading_deg=exports.reference_yaw_north_deg,
+        place=place_of(document, accepted),
     )
 
 

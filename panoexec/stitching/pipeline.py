@@ -32,6 +32,7 @@ from panoexec.stitching.adjustment import Adjustment, Lens, Points, adjust, spre
 from panoexec.stitching.completeness import Completeness, Ground, PanoramaHole
 from panoexec.stitching.matching import as_control_points, believable, find_points
 from panoexec.stitching.mission import StitchInput
+from panoexec.stitching.place import exif_of
 from panoexec.stitching.rendering import PanoramaRenderer, Rendered
 from panoexec.stitching.tools import ToolError, check_tools, disk_error
 
@@ -237,7 +238,7 @@ class Stitcher:
             target=self._panorama,
             ground=Ground(band=mission.band, horizon_deg=self._options.horizon_deg, masks=mission.masks),
             memory_bytes=self._options.memory_bytes,
-            xmp=packet(gpano_properties(project.canvas_px[0], heading_deg=mission.heading_deg)),
+            xmp=packet(gpano_properties(project.canvas_px[0], heading_deg=mission.place.heading_deg)),
         )
 
     def _finish(self, renderer: PanoramaRenderer, project: PtoProject) -> None:
@@ -263,14 +264,14 @@ class Stitcher:
             shutil.rmtree(self._work / name, ignore_errors=True)
 
     def _write_preview(self, rendered: Rendered) -> Path:
-        """The whole sphere as a JPEG with GPano tags; its size is the canvas's, or a whole fraction of it."""
+        """The whole sphere as a JPEG with EXIF and GPano tags; its size is the canvas's, or a whole fraction of it."""
         path = self._work / "panorama.jpg"
         width = rendered.preview.shape[1]
-        tags = gpano_properties(width, heading_deg=self._mission.heading_deg)
+        tags = gpano_properties(width, heading_deg=self._mission.place.heading_deg)
         tags["GPano:FullPanoHeightPixels"] = tags["GPano:CroppedAreaImageHeightPixels"] = str(rendered.preview.shape[0])
 
         def write(temporary: Path) -> None:
-            PIL.Image.fromarray(rendered.preview).save(temporary, "JPEG", quality=90)
+            PIL.Image.fromarray(rendered.preview).save(temporary, "JPEG", quality=90, exif=exif_of(self._mission.place))
             temporary.write_bytes(with_xmp(temporary.read_bytes(), packet(tags)))
 
         write_atomically_with(path, write)

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from panoexec.angles import FloatArray, wrap_180
-from panoexec.errors import PlanningError
-from panoexec.planning.model import Band, GimbalLimits, Shot
+from panoexec.planning.model import Band, Shot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,24 +58,3 @@ def shots_by_row(rows: Sequence[Row], band: Band) -> tuple[Shot, ...]:
         for yaw in yaws[::-1] if turn % 2 else yaws:
             shots.append(Shot(index=len(shots), row=number, pitch_deg=row.pitch_deg, yaw_deg=float(yaw)))
     return tuple(shots)
-
-
-def check_reachable(shots: Sequence[Shot], gimbal: GimbalLimits | None) -> None:
-    """Reject shots outside the gimbal's limits; a fixed grid cannot adapt to them.
-
-    Raises:
-        PlanningError: names the first shot outside, its angle and the limit.
-    """
-    if gimbal is None:
-        return
-    for shot in shots:
-        if not gimbal.pitch_min_deg <= shot.pitch_deg <= gimbal.pitch_max_deg:
-            raise PlanningError(
-                f"the plan needs a row at pitch {shot.pitch_deg:.1f}°, the gimbal reaches "
-                f"{gimbal.pitch_min_deg:g} to {gimbal.pitch_max_deg:g}°: ask for a smaller elevation band"
-            )
-        if not gimbal.all_round and not gimbal.yaw_min_deg <= shot.yaw_deg <= gimbal.yaw_max_deg:
-            raise PlanningError(
-                f"the plan needs a shot at yaw {shot.yaw_deg:.1f}°, the gimbal pans from "
-                f"{gimbal.yaw_min_deg:g} to {gimbal.yaw_max_deg:g}°: ask for a smaller azimuth sector"
-            )

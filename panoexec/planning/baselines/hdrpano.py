@@ -6,8 +6,9 @@ import math
 
 from panoexec.errors import PlanningError
 from panoexec.optics import Camera
-from panoexec.planning.baselines.grid import Row, check_reachable, evenly_spaced, shots_by_row
+from panoexec.planning.baselines.grid import Row, evenly_spaced, shots_by_row
 from panoexec.planning.model import Constraints, Plan
+from panoexec.planning.reach import check_reachable
 from panoexec.planning.request import MAX_IMAGES, check_request
 
 

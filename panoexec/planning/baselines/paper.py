@@ -29,10 +29,11 @@ import numpy as np
 from panoexec.angles import FloatArray, rotation
 from panoexec.errors import PlanningError
 from panoexec.optics import Camera
-from panoexec.planning.baselines.grid import Row, check_reachable, evenly_spaced, shots_by_row
+from panoexec.planning.baselines.grid import Row, evenly_spaced, shots_by_row
 from panoexec.planning.baselines.ring import cap_radius_deg, ring
 from panoexec.planning.geometry.overlap import pairwise_overlap
 from panoexec.planning.model import Constraints, Plan
+from panoexec.planning.reach import check_reachable
 from panoexec.planning.request import MAX_IMAGES, check_request
 
 _LEAST_OVERLAP = 1e-9

@@ -115,6 +115,42 @@ class Connection:
         return self.connected and not self.bridges
 
 
+class SparseGraph:
+    """A graph that keeps of its edges only what decides about components and bridges: at most 2·(n - 1).
+
+    These are a spanning forest, and a spanning forest of the other edges. A cut that one or no edge of the graph
+    crosses is crossed by the same edges here, and one that more edges cross by at least two (Nagamochi and Ibaraki
+    1992). So the memory does not grow with the number of edges, which may be the square of the number of images.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._forests = [list(range(count)) for _ in range(2)]
+        self._first: list[int] = []
+        self._second: list[int] = []
+
+    def add(self, first: IntArray, second: IntArray) -> None:
+        """Add undirected edges (k,); each must be given only once."""
+        for a, b in zip(first.tolist(), second.tolist(), strict=True):
+            for parent in self._forests:
+                root_a, root_b = _root(parent, a), _root(parent, b)
+                if root_a != root_b:
+                    parent[root_a] = root_b
+                    self._first.append(a)
+                    self._second.append(b)
+                    break
+
+    def connection(self) -> Connection:
+        """Components and bridges of the whole graph."""
+        return connection(self._count, np.array(self._first, dtype=np.intp), np.array(self._second, dtype=np.intp))
+
+
+def _root(parent: list[int], node: int) -> int:
+    while parent[node] != node:
+        parent[node] = node = parent[parent[node]]
+    return node
+
+
 def connection(count: int, first: IntArray, second: IntArray) -> Connection:
     """Components and bridges of an undirected graph (Tarjan 1974), without recursion.
 

@@ -39,8 +39,11 @@ MARGIN_RAD = 1e-9
 _SLACK = 1e-12
 """Gaps in the chord parameter up to this size are rounding errors; it is far below the margin."""
 
+_MEET = 1e-9
+"""Rounding error of the cosine that tells whether two caps overlap."""
+
 _DENSE = 300
-_AT_A_TIME = 1 << 21
+_AT_A_TIME = 1 << 18
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +78,9 @@ def border_gaps(cores: Cores, domain: Domain, margin_rad: float = MARGIN_RAD) ->
     first, second = neighbours(cores)
     begin = np.searchsorted(first, np.arange(len(cores) + 1))
     most = int(np.diff(begin).max(initial=0))
-    block = max(1, _AT_A_TIME // max(1, most * cores.vertices.shape[1] ** 2))
+    corners = cores.vertices.shape[1]
+    # compared are all corners of a core with all of a neighbour, and all its edges with all boxes outside the domain
+    block = max(1, _AT_A_TIME // max(1, most * corners**2, corners * len(domain.outside_boxes)))
     found = []
     for start in range(0, len(cores), block):
         stop = min(start + block, len(cores))
@@ -99,21 +104,34 @@ def neighbours(cores: Cores) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     centres, radii = cores.centres[some], cores.radii[some]
     widest = float(radii.max(initial=0.0))
     if len(some) <= _DENSE or widest > math.pi / 6:
-        first, second = _all_pairs(len(some))
-    else:
-        first, second = _pairs_by_cell(centres, 2 * math.sin(widest) + 1e-6)
-    meet = (
-        np.sum(centres[first] * centres[second], axis=1)
-        >= np.cos(np.minimum(radii[first] + radii[second], math.pi)) - 1e-9
+        first, second = _all_that_meet(centres, radii)
+        return some[first], some[second]
+    first, second = _pairs_by_cell(centres, 2 * math.sin(widest) + 1e-6)
+    meet = np.concatenate(
+        [
+            np.sum(centres[first[s]] * centres[second[s]], axis=1)
+            >= np.cos(np.minimum(radii[first[s]] + radii[second[s]], math.pi)) - _MEET
+            for s in (slice(start, start + _AT_A_TIME) for start in range(0, max(len(first), 1), _AT_A_TIME))
+        ]
     )
     first, second = some[first[meet]], some[second[meet]]
     order = np.argsort(first, kind="stable")
     return first[order], second[order]
 
 
-def _all_pairs(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    first, second = np.nonzero(~np.eye(n, dtype=bool))
-    return first, second
+def _all_that_meet(centres: FloatArray, radii: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Ordered pairs of different caps that overlap, sorted by the first; a block of caps at a time with all others."""
+    n = len(centres)
+    step = max(1, _AT_A_TIME // max(n, 1))
+    firsts, seconds = [np.empty(0, dtype=np.intp)], [np.empty(0, dtype=np.intp)]
+    for start in range(0, n, step):
+        own = slice(start, start + step)
+        meet = centres[own] @ centres.T >= np.cos(np.minimum(radii[own, None] + radii, math.pi)) - _MEET
+        first, second = np.nonzero(meet)
+        other = first + start != second
+        firsts.append(first[other] + start)
+        seconds.append(second[other])
+    return np.concatenate(firsts), np.concatenate(seconds)
 
 
 def _pairs_by_cell(centres: FloatArray, size: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -47,7 +47,7 @@ _SAME_DEG = 1e-9
 """Attitudes that agree to this angle share a core (1.7e-11 rad, far below the certificate's margin)."""
 
 
-_AT_A_TIME = 1 << 20
+_AT_A_TIME = 1 << 17
 """Pairs of a direction and a core processed at a time: limits the memory."""
 
 _REMEMBERED = 64

@@ -17,16 +17,18 @@ of errors. An overlap that misses its threshold by 1e-9 is accepted; a hole is n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from panoexec.angles import FloatArray, wrap_180, yaw_pitch_roll
 from panoexec.optics import Camera
-from panoexec.planning.certificate.adjacency import MUTUAL_OVERLAP, Connection, Rows, connection, separated_by_mask
+from panoexec.planning.certificate.adjacency import MUTUAL_OVERLAP, Connection, Rows, SparseGraph, separated_by_mask
 from panoexec.planning.certificate.coverage import is_covered, neighbours
+from panoexec.planning.certificate.extra_images import certified_part
 from panoexec.planning.certificate.holes import Uncovered, uncovered
 from panoexec.planning.certificate.robust_footprint import robust_cores
 from panoexec.planning.certificate.worst_overlap import (
@@ -42,12 +44,26 @@ from panoexec.planning.model import NO_TOLERANCE, Certificate, Constraints, Plan
 THRESHOLD_SLACK = 1e-9
 """Tolerance of the threshold comparison, for rounding errors."""
 
+_PAIRS_AT_A_TIME = 1 << 15
+"""Pairs of images judged at a time: limits the memory."""
+
 IntArray = NDArray[np.intp]
 
 
 def certify(plan: Plan) -> Certificate:
-    """Certify the shots of a plan for its camera and constraints; images are identified by `Shot.index`."""
-    certificate = certify_poses(plan.camera, plan.constraints, plan.rotations(), [shot.row for shot in plan.shots])
+    """Certify the shots of a plan for its camera and constraints; images are identified by `Shot.index`.
+
+    Images beyond those of a part that is certified do not make a plan fail, see `extra_images`.
+    """
+    poses, rows = plan.rotations(), [shot.row for shot in plan.shots]
+    certificate = certify_poses(plan.camera, plan.constraints, poses, rows)
+    if not certificate.certified:
+
+        def certify_some(which: Sequence[int]) -> Certificate:
+            some = [rows[i] for i in which]
+            return certify_poses(plan.camera, plan.constraints, poses[list(which)], some, explain=False)
+
+        certificate = certified_part(certificate, rows, plan.constraints, certify_some) or certificate
     names = [shot.index for shot in plan.shots]
     if names == list(range(len(names))):
         return certificate
@@ -153,7 +169,7 @@ class _Overlaps:
             own, partners, present = self._rows.partners(self._first, self._second, step)
             if not len(own):
                 continue
-            planned.append(union_overlap(self._camera, self._poses[own], self._poses[partners], present))
+            planned.append(self._unions(own, partners, present))
             worst.append(
                 planned[-1]
                 if self._constraints.tolerance.is_zero
@@ -168,26 +184,47 @@ class _Overlaps:
             planned=float(all_planned.min()), worst=float(all_worst.min()), images=(int(image[least]),)
         )
 
+    def _unions(self, own: IntArray, partners: IntArray, present: NDArray[np.bool_]) -> FloatArray:
+        """The part (k,) of images that at least one of their partners (k, m) sees, at the planned poses."""
+        parts = [
+            union_overlap(self._camera, self._poses[own[s]], self._poses[partners[s]], present[s])
+            for s in _slices(len(own), max(1, _PAIRS_AT_A_TIME // partners.shape[1]))
+        ]
+        return np.concatenate(parts)
+
     def graph(self) -> Connection:
         """C4: the graph of the pairs with at least 5 % mutual overlap for every error."""
         once = self._first < self._second
         a, b = self._first[once], self._second[once]
-        both = np.concatenate([a, b]), np.concatenate([b, a])
-        planned = pairwise_overlap(self._camera, self._poses[both[0]], self._poses[both[1]]).reshape(2, -1).min(axis=0)
-        near = planned >= MUTUAL_OVERLAP - THRESHOLD_SLACK
-        a, b = a[near], b[near]
-        if self._constraints.tolerance.is_zero:
-            return connection(len(self._poses), a, b)
-        ways = np.concatenate([a, b]), np.concatenate([b, a])
-        sure = np.asarray(overlaps_at_least(self._corners, *ways, MUTUAL_OVERLAP).reshape(2, -1).all(axis=0))
-        quick = connection(len(self._poses), a[sure], b[sure])
+        sure, unsure = SparseGraph(len(self._poses)), []
+        for some in _slices(len(a), _PAIRS_AT_A_TIME):
+            one, other = self._sharing(a[some], b[some])
+            if self._constraints.tolerance.is_zero:
+                sure.add(one, other)
+                continue
+            certain = self._both_ways(one, other, partial(overlaps_at_least, self._corners, least=MUTUAL_OVERLAP)) > 0
+            sure.add(one[certain], other[certain])
+            unsure.append((one[~certain], other[~certain]))
+        quick = sure.connection()
         if quick.two_edge_connected:  # additional edges would not change that
             return quick
-        unsure = np.nonzero(~sure)[0]
-        ways = np.concatenate([a[unsure], b[unsure]]), np.concatenate([b[unsure], a[unsure]])
-        worst = worst_pair_overlaps(self._corners, *ways).reshape(2, -1).min(axis=0)
-        sure[unsure] = worst >= MUTUAL_OVERLAP - THRESHOLD_SLACK
-        return connection(len(self._poses), a[sure], b[sure])
+        for one, other in unsure:
+            worst = self._both_ways(one, other, partial(worst_pair_overlaps, self._corners))
+            certain = worst >= MUTUAL_OVERLAP - THRESHOLD_SLACK
+            sure.add(one[certain], other[certain])
+        return sure.connection()
+
+    def _sharing(self, a: IntArray, b: IntArray) -> tuple[IntArray, IntArray]:
+        """Those of some pairs that share enough for an edge at the planned poses."""
+        planned = self._both_ways(a, b, lambda i, j: pairwise_overlap(self._camera, self._poses[i], self._poses[j]))
+        near = planned >= MUTUAL_OVERLAP - THRESHOLD_SLACK
+        return a[near], b[near]
+
+    @staticmethod
+    def _both_ways(a: IntArray, b: IntArray, shared: Callable[[IntArray, IntArray], ArrayLike]) -> FloatArray:
+        """The smaller of what the first sees of the second and the second of the first, (k,)."""
+        values = np.asarray(shared(np.concatenate([a, b]), np.concatenate([b, a])), dtype=np.float64)
+        return np.asarray(values.reshape(2, -1).min(axis=0))
 
     def _pair_overlaps(self, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray]:
         """Planned and worst overlaps; pairs with equal attitudes and equal yaw difference are computed once."""
@@ -214,6 +251,10 @@ class _Overlaps:
         half = _half_azimuth_deg(self._camera, pitch_deg)
         width = (to_deg - from_deg) % 360.0
         return from_deg + min(half, width / 2), from_deg + max(width - half, width / 2)
+
+
+def _slices(count: int, size: int) -> list[slice]:
+    return [slice(start, start + size) for start in range(0, count, size)]
 
 
 def _half_azimuth_deg(camera: Camera, pitch_deg: float) -> float:

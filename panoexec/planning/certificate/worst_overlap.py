@@ -35,7 +35,11 @@ from panoexec.planning.geometry.footprint import edge_normals, rectangle
 from panoexec.planning.geometry.overlap import clip, half_planes, polygon_area
 from panoexec.planning.model import Tolerance
 
-_AT_A_TIME = 4096
+_NUMBERS_AT_A_TIME = 1 << 15
+"""Pairs of images, times corners of their error boxes, processed at a time: limits the memory."""
+
+_ROUGH_AT_A_TIME = 1 << 14
+"""Pairs that are judged roughly at a time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,6 +68,11 @@ class ErrorCorners:
         return ErrorCorners(camera=camera, rotations=rotations, extreme=extreme, tolerance=tolerance)
 
     @property
+    def pairs_at_a_time(self) -> int:
+        """Pairs of images whose error boxes are combined at a time."""
+        return max(1, _NUMBERS_AT_A_TIME // int(self.extreme.shape[1]) ** 2)
+
+    @property
     def remainder(self) -> float:
         """The bound r·L of the module docstring."""
         reach = math.sqrt(1 + self.camera.half_width**2 + self.camera.half_height**2)
@@ -81,12 +90,13 @@ def worst_pair_overlaps(corners: ErrorCorners, first: NDArray[np.intp], second: 
     """Lower bounds (p,), over all errors, of the fraction of each first image that the second one sees."""
     whole = 4 * corners.camera.half_width * corners.camera.half_height
     out = np.empty(len(first))
-    for start in range(0, len(first), _AT_A_TIME):
-        a, b = first[start : start + _AT_A_TIME], second[start : start + _AT_A_TIME]
+    for start in range(0, len(first), corners.pairs_at_a_time):
+        some = slice(start, start + corners.pairs_at_a_time)
+        a, b = first[some], second[some]
         planes = half_planes(corners.rotations[a], corners.rotations[b], corners.camera)
         seen = _clipped(corners.camera, planes)
         losses = _losses(corners, a, b, planes, seen)
-        out[start : start + _AT_A_TIME] = (polygon_area(seen) - losses.max(axis=(1, 2), initial=0.0)) / whole
+        out[some] = (polygon_area(seen) - losses.max(axis=(1, 2), initial=0.0)) / whole
     return np.clip(out, 0.0, 1.0)
 
 
@@ -98,6 +108,13 @@ def overlaps_at_least(
     Each edge of B moves by at most `ErrorCorners.first_order`, so it removes from the part of A that B sees at most a
     strip of that width along the whole part.
     """
+    parts = [_surely_share(corners, first[s], second[s], least) for s in _slices(len(first), _ROUGH_AT_A_TIME)]
+    return np.concatenate(parts) if parts else np.empty(0, dtype=bool)
+
+
+def _surely_share(
+    corners: ErrorCorners, first: NDArray[np.intp], second: NDArray[np.intp], least: float
+) -> NDArray[np.bool_]:
     planes = half_planes(corners.rotations[first], corners.rotations[second], corners.camera)
     seen = _clipped(corners.camera, planes)
     length = np.maximum(np.hypot(planes[..., 1], planes[..., 2]), 1e-12)
@@ -125,6 +142,18 @@ def worst_union_overlaps(
     Returns:
         (k,), in [0, 1].
     """
+    # each pair of an image and a partner is compared with all partners
+    step = max(1, _ROUGH_AT_A_TIME * 8 // max(partners.shape[1], 1) ** 2)
+    parts = [_worst_unions(corners, images[s], partners[s], present[s]) for s in _slices(len(images), step)]
+    return np.concatenate(parts) if parts else np.empty(0)
+
+
+def _worst_unions(
+    corners: ErrorCorners,
+    images: NDArray[np.intp],
+    partners: NDArray[np.intp],
+    present: NDArray[np.bool_],
+) -> FloatArray:
     row, column = np.nonzero(present)
     a, b = images[row], partners[row, column]
     own = half_planes(corners.rotations[a], corners.rotations[b], corners.camera)
@@ -136,7 +165,7 @@ def worst_union_overlaps(
     losses = np.concatenate(
         [
             _losses(corners, a[s], b[s], own[s], parts[s]).max(axis=2, initial=0.0)
-            for s in (slice(i, i + _AT_A_TIME) for i in range(0, max(len(a), 1), _AT_A_TIME))
+            for s in _slices(max(len(a), 1), corners.pairs_at_a_time)
         ]
     )
     area = np.bincount(row, polygon_area(parts), len(images))
@@ -144,6 +173,10 @@ def worst_union_overlaps(
     np.add.at(loss, row, losses)
     whole = 4 * corners.camera.half_width * corners.camera.half_height
     return np.asarray(np.clip((area - loss.max(axis=1, initial=0.0)) / whole, 0.0, 1.0))
+
+
+def _slices(count: int, size: int) -> list[slice]:
+    return [slice(start, start + size) for start in range(0, count, size)]
 
 
 def _clipped(camera: Camera, planes: FloatArray) -> FloatArray:

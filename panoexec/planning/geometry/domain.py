@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -145,6 +146,13 @@ class Domain:
                     inner=side,
                 )
 
+    @property
+    def outside_boxes(self) -> tuple[_Box, ...]:
+        """The maximal boxes of outside cells, the larger ones as two each."""
+        return _outside_boxes(
+            self.elevations_deg.tobytes(), self.azimuths_deg.tobytes(), self.inside.tobytes(), self.inside.shape
+        )
+
     def outside_intervals(self, starts: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Where arcs of great circles run outside the domain.
 
@@ -157,7 +165,7 @@ class Domain:
             are the directions of (1 - s)·start + s·end; an empty interval has its lower limit above its upper one.
         """
         lower, upper = [np.empty((len(starts), 0))], [np.empty((len(starts), 0))]
-        for box in _largest_boxes(self.elevations_deg, self.azimuths_deg, ~self.inside):
+        for box in self.outside_boxes:
             low, high = _box_intervals(box, starts, ends)
             lower.append(low)
             upper.append(high)
@@ -196,12 +204,22 @@ class _Box:
     azimuths_deg: tuple[float, float] | None
 
 
+@lru_cache(maxsize=8)
+def _outside_boxes(elevations: bytes, azimuths: bytes, inside: bytes, shape: tuple[int, ...]) -> tuple[_Box, ...]:
+    """See `Domain.outside_boxes`; remembered, as a domain with many masks has thousands and is asked often."""
+    chosen = ~np.frombuffer(inside, dtype=bool).reshape(shape)
+    return tuple(_largest_boxes(np.frombuffer(elevations), np.frombuffer(azimuths), chosen))
+
+
 def _largest_boxes(elevations: FloatArray, azimuths: FloatArray, chosen: NDArray[np.bool_]) -> Iterator[_Box]:
     """All maximal boxes of chosen cells; a box wider than half a turn is given as two overlapping boxes."""
     rows, columns = chosen.shape
     for first in range(rows):
+        free: NDArray[np.bool_] = np.ones(columns, dtype=bool)
         for last in range(first, rows):
-            free = np.asarray(chosen[first : last + 1].all(axis=0))
+            free = free & chosen[last]
+            if not free.any():
+                break
             for start, length in _cyclic_runs(free):
                 span = (start + np.arange(length)) % columns
                 below = first > 0 and bool(chosen[first - 1, span].all())
@@ -225,8 +243,11 @@ def _cyclic_runs(values: NDArray[np.bool_]) -> list[tuple[int, int]]:
     n = len(values)
     if values.all():
         return [(0, n)]
-    starts = [k for k in range(n) if values[k] and not values[k - 1]]
-    return [(k, next(i for i in range(1, n + 1) if not values[(k + i) % n])) for k in starts]
+    starts = np.nonzero(values & ~np.roll(values, 1))[0]
+    ends = np.nonzero(values & ~np.roll(values, -1))[0]
+    if len(starts) and ends[0] < starts[0]:  # the last run goes on at the beginning
+        ends = np.roll(ends, -1)
+    return list(zip(starts.tolist(), ((ends - starts) % n + 1).tolist(), strict=True))
 
 
 def _box_intervals(box: _Box, starts: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray]:

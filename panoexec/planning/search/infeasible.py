@@ -15,12 +15,11 @@ from panoexec.planning.certificate.robust_footprint import robust_cores
 from panoexec.planning.geometry.domain import Domain
 from panoexec.planning.model import NO_TOLERANCE, Constraints, GimbalLimits, Tolerance
 from panoexec.planning.search.row_constraints import Demands, RowConstraints
-from panoexec.planning.search.row_search import RowSearch
+from panoexec.planning.search.row_search import MORE_AT_LIMITS, searches
 from panoexec.planning.search.row_spacing import MOST_IN_A_ROW, NeighbourDemand
 from panoexec.planning.search.variants import worst_loss
 
 _PITCHES_DEG = (0.0, -30.0, -60.0, -90.0)
-_COUNTS_TRIED = 12
 _STEPS = 40
 
 _BISECTIONS = 5
@@ -92,52 +91,83 @@ def _gimbal(camera: Camera, constraints: Constraints) -> str | None:
     gimbal = constraints.gimbal
     if gimbal is None or not _feasible(camera, replace(constraints, gimbal=None)):
         return None
-    all_round = replace(gimbal, yaw_min_deg=-180.0, yaw_max_deg=180.0)
-    if not _feasible(camera, replace(constraints, gimbal=all_round)):
-        return _pitch_limits(camera, replace(constraints, gimbal=all_round), gimbal)
+    all_round = replace(constraints, gimbal=replace(gimbal, yaw_min_deg=-180.0, yaw_max_deg=180.0))
+    if not _feasible(camera, all_round):
+        return _pitch_limits(camera, all_round, gimbal)
+    return _pan_limits(camera, constraints, gimbal)
+
+
+def _pan_limits(camera: Camera, constraints: Constraints, gimbal: GimbalLimits) -> str:
     rules = _rules(camera, constraints)
     layout = rules.layout
     pan = f"the gimbal pans from {gimbal.yaw_min_deg:g} to {gimbal.yaw_max_deg:g}°"
-    if not layout.reachable:
-        return f"{pan}: the requested azimuths are outside this range"
+    advice = "ask for an azimuth sector within the pan range, or let the vehicle pan the rest (yaw: auto)"
+    if gimbal.yaw_max_deg - gimbal.yaw_min_deg < camera.hfov_deg:
+        advice = (
+            f"ask for an azimuth sector around {(gimbal.yaw_min_deg + gimbal.yaw_max_deg) / 2:g}°, "
+            "or let the vehicle pan the rest (yaw: auto)"
+        )
     if layout.blind_deg == 0:
-        return f"{pan}: images of {camera.hfov_deg:.3g}° do not reach the ends of the requested azimuths from there"
+        band = constraints.band
+        where = f"azimuths {band.azimuth_min_deg:g} to {band.azimuth_max_deg:g}°"
+        if not layout.reachable:
+            where += ", outside this range,"
+        return f"{pan}: images of {camera.hfov_deg:.3g}° do not reach the ends of {where} from there: {advice}"
     widest = float(rules.widest(np.zeros(1))[0])
+    if layout.blind_deg <= widest:
+        return (
+            f"{pan}, which leaves a gap of {layout.blind_deg:.4g}° between neighbours: with these overlaps and "
+            f"tolerances no rows of images of {camera.hfov_deg:.3g}° x {camera.vfov_deg:.3g}° close across it: {advice}"
+        )
     return (
         f"{pan}, which leaves a gap of {layout.blind_deg:.4g}° between neighbours, but with an overlap of "
         f"{constraints.overlap_h:.0%} images at the horizon may be at most {widest:.4g}° apart "
-        f"({layout.blind_deg - widest:.3g}° too much): ask for an azimuth sector within the pan "
-        "range, or let the vehicle pan the rest (yaw: auto)"
+        f"({layout.blind_deg - widest:.3g}° too much): {advice}"
     )
 
 
 def _pitch_limits(camera: Camera, constraints: Constraints, gimbal: GimbalLimits) -> str:
-    band = constraints.band
-    lowest = _lowest_reach_deg(_rules(camera, constraints))
-    if lowest > band.elevation_min_deg:
+    low, high = constraints.band.elevation_min_deg, constraints.band.elevation_max_deg
+    rules = _rules(camera, constraints)
+    lowest = _farthest_reach_deg(rules, -1)
+    if lowest > low:
         return (
-            f"elevation {band.elevation_min_deg:g}° cannot be covered: at the gimbal's lowest pitch "
-            f"{gimbal.pitch_min_deg:g}° images cover all azimuths down to {lowest:.2f}°, "
-            f"{lowest - band.elevation_min_deg:.2f}° short"
+            f"elevation {low:g}° cannot be covered: at the gimbal's lowest pitch "
+            f"{gimbal.pitch_min_deg:g}° images cover all azimuths down to {lowest:.2f}°, {lowest - low:.2f}° short: "
+            f"{_instead(math.ceil(lowest * 10 + 0.5) / 10, high)}"
         )
-    highest = RowSearch(_rules(camera, constraints)).highest_reach_deg()
+    highest = _farthest_reach_deg(rules, 1)
+    if highest < high:
+        return (
+            f"elevation {high:g}° cannot be covered: at the gimbal's highest pitch "
+            f"{gimbal.pitch_max_deg:g}° images cover all azimuths up to {highest:.2f}°, {high - highest:.2f}° short: "
+            f"{_instead(low, math.floor(highest * 10 - 0.5) / 10)}"
+        )
     return (
-        f"elevation {band.elevation_max_deg:g}° cannot be covered: at the gimbal's highest pitch "
-        f"{gimbal.pitch_max_deg:g}° images cover all azimuths up to {highest:.2f}°, "
-        f"{max(band.elevation_max_deg - highest, 0.0):.2f}° short"
+        f"no set of rows within the gimbal's pitch range, {gimbal.pitch_min_deg:g} to {gimbal.pitch_max_deg:g}°, "
+        f"covers elevations {low:g} to {high:g}° with these overlaps and tolerances: ask for a smaller elevation band"
     )
 
 
-def _lowest_reach_deg(rules: RowConstraints) -> float:
-    """Lowest elevation that rows cover at all azimuths, 90 if no row is closed."""
-    pitch = np.linspace(rules.pitch_deg[0], min(rules.pitch_deg[1], rules.pitch_deg[0] + rules.camera.vfov_deg), _STEPS)
-    lowest = 90.0
-    for more in range(_COUNTS_TRIED):
+def _instead(low_deg: float, high_deg: float) -> str:
+    return f"ask for elevations from {low_deg:g} to {high_deg:g}°" if low_deg < high_deg else "ask for other elevations"
+
+
+def _farthest_reach_deg(rules: RowConstraints, side: int) -> float:
+    """Lowest (`side` -1) or highest (1) elevation that a row near that pitch limit covers at all azimuths.
+
+    90 or -90, respectively, if no row there is closed.
+    """
+    height = rules.camera.vfov_deg
+    limit, other = rules.pitch_deg[:: side * -1]
+    pitch = np.linspace(limit, max(other, limit - height) if side > 0 else min(other, limit + height), _STEPS)
+    farthest = -90.0
+    for more in range(MORE_AT_LIMITS + 1):
         counts = rules.fewest(pitch) + more
         low, high = rules.band(pitch, counts)
         closes = (low < high) & rules.allowed(pitch, counts)
-        lowest = min(lowest, float(low[closes].min(initial=90.0)))
-    return lowest
+        farthest = max(farthest, float((high if side > 0 else -low)[closes].max(initial=-90.0)))
+    return side * farthest
 
 
 def _overlap(camera: Camera, constraints: Constraints) -> str | None:
@@ -151,7 +181,7 @@ def _overlap(camera: Camera, constraints: Constraints) -> str | None:
         ("vertical", constraints.overlap_v, replace(constraints, gimbal=None, overlap_v=0.0)),
         ("", 0.0, easy),
     ):
-        if not _feasible(camera, changed):
+        if (name and not value) or not _feasible(camera, changed):
             continue
         if not name:
             break
@@ -202,7 +232,8 @@ def _size(camera: Camera) -> str:
 
 
 def _feasible(camera: Camera, constraints: Constraints) -> bool:
-    return bool(RowSearch(_rules(camera, constraints), width=_WIDTH).solutions(retry=False))
+    rules = _rules(camera, constraints)
+    return any(search.solutions(retry=False) for search in searches(rules, width=_WIDTH))
 
 
 def _rules(camera: Camera, constraints: Constraints) -> RowConstraints:

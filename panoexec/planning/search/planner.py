@@ -25,13 +25,14 @@ from panoexec.planning.certificate.verdict import certify, certify_poses
 from panoexec.planning.model import Certificate, Constraints, GimbalLimits, Plan, Shot, Timing
 from panoexec.planning.order.duration import estimate
 from panoexec.planning.order.shot_order import Order, order_shots
+from panoexec.planning.reach import check_reachable
 from panoexec.planning.request import MAX_IMAGES, check_request
 from panoexec.planning.search.infeasible import empty_cores, excessive_overlap, infeasibility_error, nothing_to_cover
 from panoexec.planning.search.lower_bound import least_images
 from panoexec.planning.search.row_constraints import RowConstraints
 from panoexec.planning.search.row_refinement import Rows, refine
 from panoexec.planning.search.row_seam import optimise_seam
-from panoexec.planning.search.row_search import Label, RowSearch
+from panoexec.planning.search.row_search import Label, searches
 from panoexec.planning.search.thinning import drop_redundant_shots, trim_band
 from panoexec.planning.search.variants import variants
 
@@ -83,6 +84,7 @@ def plan_certified(
         raise PlanningError(hopeless)
     found = _Planner(camera, constraints).best()
     limits, costs = constraints.gimbal or GimbalLimits(), timing or Timing()
+    check_reachable(found.shots, constraints.gimbal)
     shots = order_shots(found.shots, limits, costs, order=order or "fastest")
     plan = Plan(
         method="certified",
@@ -159,15 +161,7 @@ class _Planner:
         margin = _MARGIN_MANY if rules.many else 0.0
         closes = False
         for _ in range(_ROUNDS):
-            search = RowSearch(rules, wanted=margin)
-            if search.least_images is None:
-                break
-            if search.least_images > MAX_IMAGES:
-                raise PlanningError(
-                    f"the plan needs at least {search.least_images} images, more than the limit of {MAX_IMAGES}: "
-                    "ask for less overlap, a smaller band or a shorter focal length"
-                )
-            solutions = search.solutions()
+            solutions = self._solutions(rules, margin)
             closes = closes or bool(solutions)
             missing = self._try_solutions(rules, solutions, margin)
             if missing is None:
@@ -175,6 +169,20 @@ class _Planner:
             # search again, with the missing margin added: other counts may result
             margin = max(margin + missing, _FACTOR * margin)
         return closes
+
+    def _solutions(self, rules: RowConstraints, margin: float) -> list[Label]:
+        for search in searches(rules, wanted=margin):
+            if search.least_images is None:
+                continue
+            if search.least_images > MAX_IMAGES:
+                raise PlanningError(
+                    f"the plan needs at least {search.least_images} images, more than the limit of {MAX_IMAGES}: "
+                    "ask for less overlap, a smaller band or a shorter focal length"
+                )
+            solutions = search.solutions()
+            if solutions:
+                return solutions
+        return []
 
     def _try_solutions(self, rules: RowConstraints, solutions: Sequence[Label], margin: float) -> float | None:
         """Certify solutions; return the margin missing for C1 or C3 if nothing else fails, else None."""

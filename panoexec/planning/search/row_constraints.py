@@ -15,7 +15,7 @@ from panoexec.planning.model import Constraints
 from panoexec.planning.search.row_cover import RowCover
 from panoexec.planning.search.row_layout import IntArray, RowLayout, reachable_pitch
 from panoexec.planning.search.row_pairs import PairMargin, Pairs
-from panoexec.planning.search.row_spacing import NeighbourDemand, NeighbourSpacing
+from panoexec.planning.search.row_spacing import MOST_IN_A_ROW, NeighbourDemand, NeighbourSpacing
 
 Zone = tuple[float, float]
 
@@ -82,6 +82,11 @@ class RowConstraints:
     def overlap_v(self) -> float:
         """Minimum overlap with the adjacent row that C3 demands."""
         return max(self.demands.planned_v, self.demands.worst_v)
+
+    @property
+    def at_limits(self) -> bool:
+        """Whether the band extends beyond the gimbal's pitch limits, so that its end rows must see beyond them."""
+        return self.band_deg[0] < self.pitch_deg[0] or self.band_deg[1] > self.pitch_deg[1]
 
     @cached_property
     def many(self) -> bool:
@@ -175,8 +180,13 @@ class RowConstraints:
         """Minimum number of images by C2 alone at pitches (k,)."""
         least = self.demands.least_count
         if not self.layout.closed:
-            widest = np.maximum(self._spacing.widest(pitch_deg), 1e-3)
-            return np.maximum(least, np.ceil(self.layout.span_deg / widest - 0.5).astype(np.intp))
+            allowed = self._spacing.widest(pitch_deg)
+            widest = np.maximum(allowed, 360.0 / MOST_IN_A_ROW)
+            fewest = np.ceil(self.layout.span_deg / widest - 0.5)
+            # what the gimbal cannot pan to needs no images
+            fewest = np.minimum(fewest, 1.0 + np.ceil(self.layout.usable_deg / widest))
+            # where neighbours never overlap enough only a single image remains
+            return np.maximum(least, np.where(allowed > 0, fewest, 1.0).astype(np.intp))
         most = len(self._least_steep) - 1
         if self._most_turned > most:
             nodes, fewest = self._fewest_turned

@@ -23,9 +23,10 @@ _NO_REACH_DEG = 181.0
 class RowLayout:
     """Number, spacing and yaws of the images of a row.
 
-    The gimbal's pan range leaves a *blind* arc of yaws. If it is inside the band's azimuths, two neighbours are at its
-    ends, or further apart, and must overlap across it; if it cuts off an end of a sector, the outer image is at its
-    edge.
+    The gimbal's pan range leaves a *blind* arc of yaws, in which no image may be. If it is inside the band's azimuths,
+    two neighbours are at its ends, or further apart, and must overlap across it; if it cuts off an end of a sector, the
+    outer image is at its edge; if it hides a whole sector, the images are at the end of the pan range that is nearer to
+    the sector and beside it.
 
     Attributes:
         closed: whether rows are closed (the band is a full circle).
@@ -40,7 +41,10 @@ class RowLayout:
         self.closed = band.is_full_circle
         self.span_deg = min(band.azimuth_span_deg, 360.0)
         self._blind_from_deg, self.blind_deg = _blind_arc(constraints.gimbal)
-        self._left_deg = self._right_deg = 0.0
+        # first and last yaw that images may have, from the sector's start
+        self._first_deg, self._last_deg = 0.0, self.span_deg
+        # widths of the parts of the sector before and after a blind arc inside it
+        self._first_part_deg = self._last_part_deg = 0.0
         if not self.closed and self.blind_deg > 0:
             self._meet_sector()
         self._around_blind = lru_cache(maxsize=None)(self._sector_around_blind)
@@ -53,7 +57,12 @@ class RowLayout:
     @property
     def reachable(self) -> bool:
         """Whether the gimbal reaches any yaw of the band's azimuths."""
-        return self._left_deg < self.span_deg
+        return self._first_deg <= self.span_deg and self._last_deg >= 0.0
+
+    @property
+    def usable_deg(self) -> float:
+        """Width of the yaws that the images of a row share out, degrees."""
+        return self._last_deg - self._first_deg
 
     def closing_spacing_deg(self, count: IntArray) -> FloatArray:
         """Spacing (k,) of neighbours in closed rows of (k,) images, not counting the pair across the blind arc."""
@@ -86,9 +95,7 @@ class RowLayout:
             return wrap_180(self._closed_yaws(count, phase_deg))
         if self.blind_deg > 0:
             return wrap_180(self._yaws_around_blind(count))
-        spacing, left, right = (float(v[0]) for v in self._sector(np.array([pitch_deg]), np.array([count])))
-        if count == 1:
-            return wrap_180(np.array([self._start_deg + (self.span_deg + left - right) / 2]))
+        spacing, left, _ = (float(v[0]) for v in self._sector(np.array([pitch_deg]), np.array([count])))
         return wrap_180(self._start_deg + left + steps * spacing)
 
     def _closed_yaws(self, count: int, phase_deg: float) -> FloatArray:
@@ -102,39 +109,45 @@ class RowLayout:
         return np.asarray(start + (gap - self.blind_deg) / 2 + steps * (360.0 - gap) / (count - 1))
 
     def _sector(self, pitch_deg: FloatArray, count: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Spacing, and distances of the outer images from the sector's two ends, each (k,)."""
-        spacing = np.where(count > 1, np.minimum(self._widest(pitch_deg), self.span_deg / count), 0.0)
-        margin = (self.span_deg - (count - 1) * spacing) / 2
-        left, right = np.maximum(margin, self._left_deg), np.maximum(margin, self._right_deg)
-        between = np.maximum(self.span_deg - left - right, 0.0)
-        alone = count == 1
-        left, right = np.where(alone, self._alone(-1), left), np.where(alone, self._alone(1), right)
-        return np.where(alone, 0.0, between / np.maximum(count - 1, 1)), left, right
+        """Spacing, and distances of the outer images from the sector's two ends, each (k,).
 
-    def _alone(self, side: int) -> float:
-        """Distance of a single image from an end of the sector: in the middle, or as near to it as possible."""
-        yaw = min(max(self.span_deg / 2, self._left_deg), max(self.span_deg - self._right_deg, self._left_deg))
-        return yaw if side < 0 else self.span_deg - yaw
+        A distance is negative where the image is outside the sector, because the gimbal reaches no yaw inside.
+        """
+        low, high = self._first_deg, self._last_deg
+        spacing = np.where(count > 1, np.minimum(self._widest(pitch_deg), self.span_deg / count), 0.0)
+        between = (count - 1) * spacing
+        margin = (self.span_deg - between) / 2
+        first, last = np.clip(margin, low, high), np.clip(self.span_deg - margin, low, high)
+        # all at one end of the pan range: beside it there may be room
+        first = np.where((last - first < _HAIR_DEG) & (first == high), np.maximum(high - between, low), first)
+        last = np.where((last - first < _HAIR_DEG) & (last == low), np.minimum(low + between, high), last)
+        return (last - first) / np.maximum(count - 1, 1), first, self.span_deg - last
 
     def _meet_sector(self) -> None:
-        """Split the blind arc into the parts that cut off the sector's ends and the part inside it."""
-        start = (self._blind_from_deg - self._start_deg) % 360.0
-        stop = start + self.blind_deg
-        inside = 0.0
-        if stop > 360.0 - _HAIR_DEG or start < _HAIR_DEG:
-            self._left_deg = min(stop - 360.0 if stop > 360.0 - _HAIR_DEG else stop, self.span_deg)
-        if _HAIR_DEG <= start < self.span_deg:
-            if stop >= self.span_deg:
-                self._right_deg = self.span_deg - start
-            else:
-                inside = self.blind_deg
-        self.blind_deg = inside
+        """What the blind arc leaves of the sector: one part, two with the arc between them, or nothing."""
+        width = 360.0 - self.blind_deg
+        start = (self._blind_from_deg + self.blind_deg - self._start_deg) % 360.0
+        turns = [start - 360.0, start]
+        self.blind_deg = 0.0
+        parts = [(max(low, 0.0), min(low + width, self.span_deg)) for low in turns]
+        parts = [(low, max(low, high)) for low, high in parts if low <= high + _HAIR_DEG]
+        if len(parts) == 2 and min(high - low for low, high in parts) < _HAIR_DEG:
+            # the pan range touches one end of the sector: an image there would have to overlap across the arc
+            parts = [max(parts, key=lambda part: part[1] - part[0])]
+        if len(parts) == 2:
+            self._first_part_deg, self._last_part_deg = parts[0][1], self.span_deg - parts[1][0]
+            self.blind_deg = max(parts[1][0] - parts[0][1], 0.0)
+        elif parts:
+            self._first_deg, self._last_deg = parts[0]
+        else:
+            # the pan range beside the sector whose nearer end is the least far from the sector's farther end
+            ranges = [(low, low + width) for low in turns]
+            self._first_deg, self._last_deg = min(ranges, key=lambda ends: max(ends[0], self.span_deg - ends[1]))
 
     def _sector_around_blind(self, count: int) -> tuple[float, float]:
         """Spacing and reach of a sector's row with images at both ends of the blind arc."""
         if count == 1:
-            left, right = self._parts_deg()
-            return 0.0, max(left, self.span_deg - left, right)
+            return 0.0, max(self._first_part_deg, self.span_deg - self._first_part_deg)
         low, high = 0.0, self.span_deg
         for _ in range(50):
             middle = (low + high) / 2
@@ -142,23 +155,21 @@ class RowLayout:
         return high, max(high, self.blind_deg) / 2
 
     def _yaws_around_blind(self, count: int) -> FloatArray:
-        left, _ = self._parts_deg()
+        left = self._first_part_deg
         if count == 1:
             return np.array([self._start_deg + left])
         spacing, _ = self._around_blind(count)
         before, after = self._counts_beside(spacing)
-        from_left = self._start_deg + left - np.arange(before)[::-1] * spacing
-        from_right = self._start_deg + left + self.blind_deg + np.arange(after) * spacing
-        return np.concatenate([from_left, from_right])
-
-    def _parts_deg(self) -> tuple[float, float]:
-        """Widths of the sector before and after the blind arc, degrees."""
-        left = (self._blind_from_deg - self._start_deg) % 360.0
-        return left, self.span_deg - left - self.blind_deg
+        right = left + self.blind_deg
+        # an outer image may stand beyond the sector's end, but not beyond the other side of the blind arc
+        first = np.maximum(left - np.arange(before)[::-1] * spacing, right - 360.0)
+        last = np.minimum(right + np.arange(after) * spacing, left + 360.0)
+        return np.asarray(self._start_deg + np.concatenate([first, last]))
 
     def _counts_beside(self, spacing_deg: float) -> tuple[int, int]:
         """Numbers of images before and after the blind arc at a spacing, with one image at each of its ends."""
-        before, after = (1 + int(np.ceil(max(part / spacing_deg - 0.5, 0.0) - 1e-9)) for part in self._parts_deg())
+        parts = self._first_part_deg, self._last_part_deg
+        before, after = (1 + int(np.ceil(max(part / spacing_deg - 0.5, 0.0) - 1e-9)) for part in parts)
         return before, after
 
 

@@ -48,6 +48,9 @@ _AROUND = 60
 _MOST_DISTINCT = 400
 """With more distinct positions than this some seams of the two rows nearly coincide."""
 
+_YAWS_AT_A_TIME = 1 << 16
+"""Images of adjacent rows that are compared at a time with a few images of theirs: limits the memory."""
+
 _NOT_CLOSED = -1.0
 _SURE = 0.05
 
@@ -246,6 +249,15 @@ class PairMargin:
 
     def _shared_open(self, resolution: Resolution, images: _OpenRows, next_rows: _OpenRows) -> FloatArray:
         """Smallest overlap (k,) of the images of one half of a sector's row with the adjacent row."""
+        # a matrix of each image with all of the next row, so a few rows at a time
+        step = max(1, _YAWS_AT_A_TIME // max(int(next_rows[2].max(initial=1)), 1))
+        parts = [
+            self._shared_open_of(resolution, _at(images, s), _at(next_rows, s))
+            for s in (slice(start, start + step) for start in range(0, max(len(images[0]), 1), step))
+        ]
+        return np.concatenate(parts)
+
+    def _shared_open_of(self, resolution: Resolution, images: _OpenRows, next_rows: _OpenRows) -> FloatArray:
         pitch_deg, spacing_deg, count = images
         row_deg, row_spacing_deg, row_count = next_rows
         half = int(((count + 1) // 2).max())
@@ -270,6 +282,11 @@ class PairMargin:
             resolution.columns,
         ).reshape(shape)
         return np.asarray(np.where(probes < (count[:, None] + 1) // 2, shared, np.inf).min(axis=1))
+
+
+def _at(rows: _OpenRows, some: slice) -> _OpenRows:
+    pitch_deg, spacing_deg, count = rows
+    return pitch_deg[some], spacing_deg[some], count[some]
 
 
 def _seams(count: IntArray, spacing_deg: FloatArray) -> FloatArray:

@@ -26,7 +26,6 @@ _GENEROUS = 5e-4
 
 _POLAR_GENEROUS = 1.01
 _POLAR_SHARE = 0.3
-_MORE_IMAGES = 4
 _MANY = 40
 """From this number of images in a row, one more or less hardly changes the pitch of the next row."""
 
@@ -44,13 +43,17 @@ class RowRelaxation:
     Args:
         rules: the constraints on rows.
         wanted: margin of pairs of rows for which steps are measured.
+        more_images: number of images above C2's minimum with which rows may reach the upper end.
     """
 
-    def __init__(self, rules: RowConstraints, wanted: float = 0.0) -> None:
+    def __init__(self, rules: RowConstraints, wanted: float = 0.0, *, more_images: int = 4) -> None:
         self._rules = rules
         self._wanted = wanted
+        self._more_images = more_images
         height = rules.camera.vfov_deg
-        low, high = rules.pitch_deg
+        # no image farther away sees anything of the band
+        beyond = rules.camera.hfov_deg + height
+        low, high = (min(max(end, rules.band_deg[0] - beyond), rules.band_deg[1] + beyond) for end in rules.pitch_deg)
         grid = _GRID if height > _LOW_DEG else _GRID_MANY
         count = max(2, math.ceil((high - low) / height * grid) + 1)
         self._grid = np.linspace(low, high, count)
@@ -126,7 +129,7 @@ class RowRelaxation:
         fewest = rules.fewest(grid)
         closing = np.full(len(grid), np.inf)
         near = np.nonzero(grid + rules.camera.vfov_deg >= top)[0]
-        for more in range(_MORE_IMAGES):
+        for more in range(self._more_images):
             _, high = rules.band(grid[near], fewest[near] + more)
             # half a grid step higher, the row may just reach the end
             done = near[(high >= top - self._step) & np.isinf(closing[near])]

@@ -15,6 +15,7 @@ n images, which has about √n rows, costs about √n steps; all steps of a row 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,8 +29,9 @@ from panoexec.planning.search.row_steps import highest_pitch
 _SMALLEST_STEP = 0.15
 """Rows closer than this fraction of the vertical field of view are not tried."""
 
-_MORE_IMAGES = 2
-"""Number of images above C2's minimum that are tried in a row."""
+_MORE_IMAGES, MORE_AT_LIMITS = 2, 12
+"""Number of images above C2's minimum that are tried in a row; and where the band extends beyond the gimbal's pitch
+limits and no rows result: more images cover a little more of the elevations beyond."""
 
 FEW = 6
 _LOWER = (0.08, 0.16, 0.24, 0.32)
@@ -105,14 +107,18 @@ class RowSearch:
         rules: the constraints on rows.
         wanted: minimum margin of pairs of rows, see `PairMargin`.
         width: beam width.
+        more_images: number of images above C2's minimum that are tried in a row.
     """
 
-    def __init__(self, rules: RowConstraints, *, wanted: float = 0.0, width: int = WIDTH) -> None:
+    def __init__(
+        self, rules: RowConstraints, *, wanted: float = 0.0, width: int = WIDTH, more_images: int = _MORE_IMAGES
+    ) -> None:
         self._rules = rules
         self._width = min(width, _WIDTH_MANY) if rules.many else width
         self._wanted = wanted
-        self._relaxation = RowRelaxation(rules, wanted)
-        pitch, count = rules.first_rows(_MORE_IMAGES)
+        self._more_images = more_images
+        self._relaxation = RowRelaxation(rules, wanted, more_images=2 * more_images)
+        pitch, count = rules.first_rows(more_images)
         self._first = self._labels(pitch, count, [None] * len(count), np.full(len(count), rules.pitch_deg[0]))
 
     @property
@@ -157,16 +163,6 @@ class RowSearch:
             level = self._take(steps)
         return sorted(complete, key=lambda label: (label.images, label.rows, -label.highest_deg)), everything
 
-    def highest_reach_deg(self) -> float:
-        """Highest elevation that rows could cover, -90 if there is no first row: for error messages."""
-        level = self._first
-        highest = max((label.highest_deg for label in level), default=-90.0)
-        while level and not any(label.reaches for label in level):
-            level = sorted(level, key=lambda label: -label.pitch_deg)[:4]
-            level = self._take([step for label in level for step in self._steps_from(label)])
-            highest = max([highest, *(label.highest_deg for label in level)])
-        return highest
-
     def _bound(self, label: Label) -> int:
         return label.images if label.reaches else label.images + self._relaxation.least_after(label.pitch_deg)
 
@@ -204,7 +200,7 @@ class RowSearch:
             return []
         fewest, most = rules.counts_between(start, stop)
         out: list[_Step] = []
-        for count in range(fewest, most + _MORE_IMAGES + 1):
+        for count in range(fewest, most + self._more_images + 1):
             for zone in rules.zones(count):
                 a, b = max(start, zone[0]), min(stop, zone[1])
                 if a <= b:
@@ -257,6 +253,13 @@ class RowSearch:
             reaches = h >= top and rows >= self._rules.demands.least_rows
             out.append(Label(pitch_deg=p, count=c, images=images, rows=rows, highest_deg=h, reaches=reaches, before=b))
         return out
+
+
+def searches(rules: RowConstraints, *, wanted: float = 0.0, width: int = WIDTH) -> Iterator[RowSearch]:
+    """The searches to make one after the other until one has solutions; the arguments are those of `RowSearch`."""
+    yield RowSearch(rules, wanted=wanted, width=width)
+    if rules.at_limits:
+        yield RowSearch(rules, wanted=wanted, width=width, more_images=MORE_AT_LIMITS)
 
 
 def _with_slack(images: int) -> int:

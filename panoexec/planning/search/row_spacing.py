@@ -20,6 +20,9 @@ HAIR = 1e-7
 
 MOST_IN_A_ROW = 5000
 
+_MOST_ABREAST = 200
+"""Images of a row that see one direction: a spacing that would show it in more counts as none at all."""
+
 _HOPELESS = 100
 """Number of counts tried towards the poles if no count is feasible at the horizon."""
 
@@ -110,7 +113,7 @@ class NeighbourSpacing:
         count = len(steepness_deg)
         found = last_nonnegative(
             lambda which, spacing: self._demand.surplus(self._camera, steepness_deg[which], spacing),
-            np.full(count, 360.0 / MOST_IN_A_ROW),
+            np.full(count, max(360.0 / MOST_IN_A_ROW, self._camera.hfov_deg / _MOST_ABREAST)),
             np.full(count, 180.0),
             self._precision,
             _STEPS,

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -29,6 +30,7 @@ from panoexec.exports.hugin import hugin_project
 from panoexec.exports.papywizard import papywizard_angles, papywizard_text
 from panoexec.exports.qgc_plan import qgc_text
 from panoexec.exports.shots_csv import COLUMNS, csv_text
+from panoexec.exports.xmp_files import sidecar_text
 from panoexec.formats.hugin_pto import parse_pto
 from panoexec.optics import Camera
 from panoexec.planning.geometry.pose_error import pose_error
@@ -130,6 +132,23 @@ def test_papywizard_angles_are_the_attitude_up_to_the_gimbals_roll(yaw: float, p
     else:
         np.testing.assert_allclose(rotation_321(y, p, r), made.rotation, atol=1e-9)
         assert abs(r) < 4
+
+
+@given(yaw=st.floats(-179, 179), pitch=st.floats(80.1, 90.4), roll=st.floats(-0.5, 0.5), north=st.floats(0, 359))
+@example(yaw=30, pitch=90, roll=0.3, north=0)
+@example(yaw=-170, pitch=89.8, roll=-0.3, north=200)
+def test_near_the_poles_sidecars_have_the_gimbals_yaw_and_no_roll(
+    yaw: float, pitch: float, roll: float, north: float
+) -> None:
+    for sign in (-1, 1):
+        made = shot(yaw, sign * pitch, roll)
+        text = sidecar_text(exports(made, reference_yaw_north_deg=north), made)
+        found = [float(value) for value in re.findall(r'drone-dji:Gimbal(?:Yaw|Pitch|Roll)Degree="([^"]+)"', text)]
+        papywizard_yaw, papywizard_pitch, _ = papywizard_angles(made)
+        # in the order of the file: yaw, pitch, roll
+        assert abs(float(wrap_180(found[0] - north - papywizard_yaw))) < 2e-3
+        assert found[1] == pytest.approx(papywizard_pitch, abs=1e-3)
+        assert found[2] == 0
 
 
 def test_papywizard_lists_pictures_in_order_and_says_what_lens() -> None:

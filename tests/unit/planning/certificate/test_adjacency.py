@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from panoexec.angles import rotation
-from panoexec.planning.certificate.adjacency import Rows, connection, separated_by_mask
+from panoexec.planning.certificate.adjacency import Rows, SparseGraph, connection, separated_by_mask
 from panoexec.planning.geometry.domain import Domain
 from panoexec.planning.model import AngleBox, Band
 from tests.unit.planning.brute import full_circle
@@ -37,9 +37,13 @@ def parts(count: int, edges: list[tuple[int, int]]) -> int:
 )
 def test_bridges_are_the_edges_whose_loss_disconnects(count: int, edges: list[tuple[int, int]]) -> None:
     edges = [(a, b) for a, b in edges if a < count and b < count and a != b]
-    found = connection(
-        count, np.array([a for a, _ in edges], dtype=np.intp), np.array([b for _, b in edges], dtype=np.intp)
-    )
+    ends = np.array([a for a, _ in edges], dtype=np.intp), np.array([b for _, b in edges], dtype=np.intp)
+    found = connection(count, *ends)
+    # what a graph keeps of its edges says the same
+    sparse = SparseGraph(count)
+    for some in (slice(0, 3), slice(3, None)):
+        sparse.add(ends[0][some], ends[1][some])
+    assert sparse.connection() == found
     whole = parts(count, edges)
     bridges = sorted((min(e), max(e)) for e in edges if parts(count, [f for f in edges if f != e]) > whole)
     assert found.parts == whole

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from panoexec.angles import wrap_180
 from panoexec.errors import PlanningError
 from panoexec.optics import Camera
-from panoexec.planning.baselines.grid import check_reachable
 from panoexec.planning.model import GimbalLimits, Shot, Timing, Turning
 from panoexec.planning.order.duration import estimate, slew_time_s, turn_times_s
 from panoexec.planning.order.shot_order import order_shots
 from panoexec.planning.order.vehicle_yaw import PanReach, heading_for, heading_groups, headings_deg
+from panoexec.planning.reach import check_reachable
 
 TURNING = Turning()
 TWO_AXES = GimbalLimits(yaw_min_deg=0.0, yaw_max_deg=0.0, yaw_endless=False, turning=TURNING)

@@ -155,14 +155,33 @@ class TestGimbal:
 
     def test_a_gimbal_that_cannot_look_so_low(self) -> None:
         gimbal = GimbalLimits(pitch_min_deg=-60.0)
+        text = str(infeasibility_error(WIDE, asked(-90, -30, gimbal=gimbal)))
         bottom, reach, short = figures(
             r"elevation (-\d+)° cannot be covered: at the gimbal's lowest pitch -60° "
             r"images cover all azimuths down to (-[\d.]+)°, ([\d.]+)° short",
-            str(infeasibility_error(WIDE, asked(-90, -30, gimbal=gimbal))),
+            text,
         )
         assert bottom == -90
         assert reach - short == pytest.approx(bottom, abs=0.011)
-        assert is_planned(WIDE, asked(reach + 0.4, -30, gimbal=gimbal))
+        # what the text asks for, and the last that it says can be had
+        (instead,) = figures(r"ask for elevations from (-[\d.]+) to -30°", text)
+        assert instead == pytest.approx(reach, abs=0.16)
+        for low in (instead, reach + 0.01):
+            assert is_planned(WIDE, asked(low, -30, gimbal=gimbal))
+
+    @pytest.mark.parametrize("azimuth", [(-180.0, 180.0), (-60.0, 60.0)], ids=["around", "sector"])
+    @pytest.mark.parametrize("up", [False, True], ids=["low", "high"])
+    def test_more_images_than_overlap_demands_see_a_little_more_beyond_the_limit(
+        self, azimuth: Range, *, up: bool
+    ) -> None:
+        band = (30.0, 83.31) if up else (-83.31, -30.0)
+        gimbal = GimbalLimits(pitch_max_deg=60.0) if up else GimbalLimits(pitch_min_deg=-60.0)
+        assert is_planned(WIDE, asked(*band, azimuth, gimbal=gimbal))
+
+    def test_a_pitch_range_in_which_rows_do_not_stand(self) -> None:
+        gimbal = GimbalLimits(pitch_min_deg=-20.0, pitch_max_deg=-20.0)
+        text = str(infeasibility_error(WIDE, asked(-60, 10, gimbal=gimbal)))
+        assert "elevation -60° cannot be covered: at the gimbal's lowest pitch -20°" in text
 
     def test_a_blind_arc_that_neighbours_cannot_bridge(self) -> None:
         text = str(infeasibility_error(WIDE, asked(-30, 20, gimbal=pans(-140, 140))))
@@ -184,8 +203,14 @@ class TestGimbal:
 
     def test_a_sector_outside_the_pan_range(self) -> None:
         text = str(infeasibility_error(WIDE, asked(-30, 20, (110, 250), gimbal=pans(-100, 100))))
-        assert text == "the gimbal pans from -100 to 100°: the requested azimuths are outside this range"
+        assert text == (
+            "the gimbal pans from -100 to 100°: images of 60° do not reach the ends of azimuths 110 to 250°, outside "
+            "this range, from there: ask for an azimuth sector within the pan range, or let the vehicle pan the rest "
+            "(yaw: auto)"
+        )
         assert is_planned(WIDE, asked(-30, 20, (60, 125), gimbal=pans(-100, 100)))
+        # outside, but in sight of an image at the end of the pan range
+        assert is_planned(WIDE, asked(-20, 15, (102, 125), gimbal=pans(-100, 100)))
 
     @pytest.mark.parametrize(("end", "planned"), [(49.0, True), (52.0, False)])
     def test_a_sector_whose_ends_images_do_not_reach(self, end: float, planned: bool) -> None:
@@ -195,7 +220,8 @@ class TestGimbal:
             return
         text = str(infeasibility_error(WIDE, constraints))
         assert text == (
-            "the gimbal pans from -20 to 20°: images of 60° do not reach the ends of the requested azimuths from there"
+            "the gimbal pans from -20 to 20°: images of 60° do not reach the ends of azimuths -52 to 52° from there: "
+            "ask for an azimuth sector around 0°, or let the vehicle pan the rest (yaw: auto)"
         )
 
 
@@ -220,7 +246,8 @@ class TestOverlap:
         assert value == 0.8
         assert most + less == pytest.approx(value, abs=0.011)
         assert 0 < most < 0.8
-        assert is_planned(VERY_WIDE, constraints(most - 0.03))
+        # far enough below the bound, which is of C1 to C3 alone, that the plan needs no more images for C4
+        assert is_planned(VERY_WIDE, constraints(most - (0.1 if name == "vertical" else 0.03)))
 
     def test_overlaps_that_cannot_both_be_had(self) -> None:
         text = str(
