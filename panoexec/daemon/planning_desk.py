@@ -21,6 +21,8 @@ MAX_SENDERS: Final = 8
 """Senders whose requests for a plan may wait at the same time."""
 
 _KEPT_PLANS: Final = 4
+_CALM_S: Final = 0.05
+"""A computation begins so long after it is needed, so that a flood of requests does not start a process for each."""
 
 
 @dataclass(slots=True, eq=False)
@@ -97,6 +99,7 @@ class PlanningDesk:
 
     async def _compute(self, key: str, spec: PlanSpec) -> None:
         try:
+            await asyncio.sleep(_CALM_S)
             plan = await plan_apart(spec)
         except Exception as error:  # noqa: BLE001  (raised where it is waited for)
             for one in self._of(key):

@@ -33,7 +33,7 @@ from panoexec.mqtt.transactions import Transactions
 
 DECLINED: Final = "declined mission"
 
-_JOURNAL_S: Final = 0.4
+_JOURNAL_S: Final = 0.3
 """How long a response waits for the journal."""
 
 _log = structlog.get_logger(__name__)

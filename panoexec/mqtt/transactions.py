@@ -52,7 +52,7 @@ KEPT_IN_MEMORY: Final = 200
 MAX_UNDER_WAY: Final = 64
 """Requests that may be in progress at the same time, and repeats of one that get its response."""
 
-STOP_WRITE_S: Final = 0.3
+STOP_WRITE_S: Final = 0.2
 """How long the response to a stopping request waits for the disk."""
 
 _log = structlog.get_logger(__name__)
