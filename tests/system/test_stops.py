@@ -23,7 +23,7 @@ import pytest
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
-from panoexec.sim.config import SimConfig
+from panoexec.sim.config import AirframeConfig, SimConfig
 from panoexec.sim.process import free_udp_port, running_simulator
 from tests.system.daemon import BASE, Ground, ready, serving
 from tests.system.test_storage import disk, fill
@@ -40,7 +40,7 @@ REQUESTS = 64
 NICE = -5
 """Of the daemon, as in its systemd unit."""
 FLYING = frozenset({"preflight", "capturing", "paused", "finishing"})
-PLAN = {"shots": [{"pitch_deg": -20, "yaw_deg": 15 * number} for number in range(12)]}
+PLAN = {"shots": [{"pitch_deg": -20, "yaw_deg": 3 * number} for number in range(100)]}
 TELE = {
     "name": "tele",
     "sensor_width_mm": 36.0,
@@ -224,7 +224,8 @@ async def a_bench(folder: Path, rng: random.Random) -> AsyncIterator[Bench]:
     port = free_udp_port()
     async with AsyncExitStack() as stack:
         broker = stack.enter_context(running_broker(folder, persistent=True))
-        await stack.enter_async_context(running_simulator(SimConfig(port=port, speedup=SPEEDUP)))
+        simulation = SimConfig(port=port, speedup=SPEEDUP, airframe=AirframeConfig(battery_minutes=10_000))
+        await stack.enter_async_context(running_simulator(simulation))
         ground = Clocked(broker.port)
         listening = asyncio.create_task(ground.run(), name="ground station")
         try:
