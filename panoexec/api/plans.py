@@ -11,11 +11,13 @@ from typing import Final, Literal, Self, TypeAlias, TypeVar
 from panoexec.errors import UsageError
 from panoexec.inputs.camera_profiles import CameraProfile, load_profile
 from panoexec.inputs.plan_file import read_plan_file, write_plan
+from panoexec.inputs.plan_options import PlanOptions
+from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.optics import Camera
 from panoexec.planning import model
 from panoexec.planning.baselines.published import PUBLISHED, published_plan
 from panoexec.planning.certificate.verdict import certify
-from panoexec.planning.make_plan import METHODS, make_plan
+from panoexec.planning.make_plan import METHODS
 from panoexec.planning.model import AngleBox, Band, Certificate, Constraints, GimbalLimits, Guarantee, Timing, Tolerance
 from panoexec.planning.order.shot_order import ORDERS, Order
 from panoexec.planning.request import check_request
@@ -137,8 +139,7 @@ def plan(
     default = _DEFAULTS
     if gimbal is not None and gimbal.turning is not None and not gimbal.pans:
         default = replace(default, tolerance=replace(default.tolerance, yaw_deg=_VEHICLE_YAW_TOLERANCE_DEG))
-    constraints = _constraints(
-        default,
+    options = _options(
         overlap=overlap,
         overlap_h=overlap_h,
         overlap_v=overlap_v,
@@ -148,15 +149,8 @@ def plan(
         guarantee=guarantee,
         masks=masks,
     )
-    made = make_plan(
-        used,
-        replace(constraints, gimbal=gimbal),
-        method=method,
-        timing=timing,
-        order=order,
-        columns=columns,
-        rows=rows,
-    )
+    options = replace(options, gimbal=gimbal, method=method, order=order, columns=columns, rows=rows)
+    made = options.over(PlanSpec(camera=used, constraints=default, timing=timing)).plan()
     return Plan._of(made)  # noqa: SLF001  (the class is this module's own)
 
 
@@ -199,8 +193,7 @@ def verify(
         name = os.fspath(plan)
         published = name in PUBLISHED and not Path(name).exists()
         plan = published_plan(name) if published else Plan.load(plan, camera=camera)
-    constraints = _constraints(
-        plan.constraints,
+    options = _options(
         overlap=overlap,
         overlap_h=overlap_h,
         overlap_v=overlap_v,
@@ -211,12 +204,12 @@ def verify(
         masks=masks,
     )
     used = plan.camera if camera is None else _optics(camera)[0]
+    constraints = options.over(PlanSpec(camera=used, constraints=plan.constraints)).constraints
     check_request(used, constraints)
     return certify(replace(plan, camera=used, constraints=constraints))
 
 
-def _constraints(
-    base: Constraints,
+def _options(
     *,
     overlap: float | None,
     overlap_h: float | None,
@@ -226,25 +219,22 @@ def _constraints(
     tolerance_deg: Tolerance | Mapping[str, float] | None,
     guarantee: Guarantee | None,
     masks: Sequence[Mask] | None,
-) -> Constraints:
-    """The constraints asked for; what is None comes from `base`."""
-    _check_choice("guarantee", guarantee or base.guarantee, ("coverage", "all"))
-    band = base.band
-    elevation = _pair("elevation_deg", elevation_deg, (band.elevation_min_deg, band.elevation_max_deg))
-    azimuth = _pair("azimuth_deg", azimuth_deg, (band.azimuth_min_deg, band.azimuth_max_deg))
-    return replace(
-        base,
-        overlap_h=_first(overlap_h, overlap, base.overlap_h),
-        overlap_v=_first(overlap_v, overlap, base.overlap_v),
-        band=Band(
-            elevation_min_deg=elevation[0],
-            elevation_max_deg=elevation[1],
-            azimuth_min_deg=azimuth[0],
-            azimuth_max_deg=azimuth[1],
-        ),
-        tolerance=_tolerance(tolerance_deg, base.tolerance),
-        guarantee=guarantee or base.guarantee,
-        masks=base.masks if masks is None else tuple(_mask(mask) for mask in masks),
+) -> PlanOptions:
+    """What the arguments say of the constraints."""
+    if guarantee is not None:
+        _check_choice("guarantee", guarantee, ("coverage", "all"))
+    tolerance = _tolerance(tolerance_deg)
+    return PlanOptions(
+        overlap=overlap,
+        overlap_h=overlap_h,
+        overlap_v=overlap_v,
+        elevation_deg=_pair("elevation_deg", elevation_deg),
+        azimuth_deg=_pair("azimuth_deg", azimuth_deg),
+        tolerance_pitch_deg=tolerance.get("pitch"),
+        tolerance_roll_deg=tolerance.get("roll"),
+        tolerance_yaw_deg=tolerance.get("yaw"),
+        guarantee=guarantee,
+        masks=None if masks is None else tuple(_mask(mask) for mask in masks),
     )
 
 
@@ -261,12 +251,15 @@ def _optics(camera: CameraLike) -> tuple[Camera, Timing]:
     return profile.camera, Timing(exposure_s=profile.max_exposure_s, interval_s=profile.min_interval_s)
 
 
-def _tolerance(given: Tolerance | Mapping[str, float] | None, base: Tolerance) -> Tolerance:
-    if given is None or isinstance(given, Tolerance):
-        return given or base
+def _tolerance(given: Tolerance | Mapping[str, float] | None) -> Mapping[str, float]:
+    """The largest errors that are given, degrees by axis."""
+    if given is None:
+        return {}
+    if isinstance(given, Tolerance):
+        return {"pitch": given.pitch_deg, "roll": given.roll_deg, "yaw": given.yaw_deg}
     for axis in given:
         _check_choice("tolerance_deg", axis, ("pitch", "roll", "yaw"))
-    return replace(base, **{f"{axis}_deg": value for axis, value in given.items()})
+    return given
 
 
 def _mask(mask: Mask) -> AngleBox:
@@ -278,9 +271,9 @@ def _mask(mask: Mask) -> AngleBox:
     return AngleBox(elevation_min_deg=low, elevation_max_deg=high, azimuth_min_deg=left, azimuth_max_deg=right)
 
 
-def _pair(name: str, given: Range | None, base: Range) -> Range:
+def _pair(name: str, given: Range | None) -> Range | None:
     if given is None:
-        return base
+        return None
     if len(given) != 2:
         raise UsageError(f"{name} {given!r}: give (min, max) in degrees")
     return given[0], given[1]
@@ -289,7 +282,3 @@ def _pair(name: str, given: Range | None, base: Range) -> Range:
 def _check_choice(name: str, value: str, choices: Sequence[str]) -> None:
     if value not in choices:
         raise UsageError(f"{name} {value!r} is not known: one of {', '.join(choices)}")
-
-
-def _first(*values: float | None) -> float:
-    return next(value for value in values if value is not None)

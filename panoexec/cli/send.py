@@ -30,7 +30,7 @@ from panoexec.mqtt.ground_station import GroundStation
 from panoexec.mqtt.requests import REQUESTS, DoctorRequest
 
 INTERMIXED = True
-_WRONG = frozenset({"too_large", "not_json", "unknown_command", "invalid", "conflict", "planning"})
+_WRONG = frozenset({"too_large", "not_json", "unknown_command", "invalid", "conflict", "planning", "planning_budget"})
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

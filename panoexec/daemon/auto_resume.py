@@ -8,12 +8,14 @@ from typing import Final
 
 import structlog
 
+from panoexec.daemon.beginnings import Beginning
 from panoexec.daemon.commands import Commands
 from panoexec.daemon.errors import MissionBusyError
 from panoexec.daemon.leftovers import restore_leftovers
 from panoexec.daemon.missions import Missions
 from panoexec.daemon.vehicle_link import VehicleLink
 from panoexec.inputs.config import Config
+from panoexec.mission.mission_requests import CommandRefusedError
 from panoexec.store.session import NotResumableError
 
 _POLL_S: Final = 0.5
@@ -61,13 +63,13 @@ class AutoResume:
             self._group.create_task(self._resume(), name="resume")
 
     async def _resume(self) -> None:
-        while self._missions.offer is not None and await self._commands.may_auto_resume():
+        while self._missions.offer is not None and await self._commands.stopping.may_auto_resume():
             devices = self._vehicle.devices
             if devices is not None and self._vehicle.links().autopilot.ok and not self._vehicle.doubt:
                 try:
-                    async with self._missions.claimed():
+                    async with self._missions.claimed(Beginning("resume")):
                         await self._missions.go_on(devices)
-                except (MissionBusyError, NotResumableError) as error:
+                except (MissionBusyError, NotResumableError, CommandRefusedError) as error:
                     _log.warning("the interrupted mission cannot be resumed", error=str(error))
                 return
             await asyncio.sleep(_POLL_S)

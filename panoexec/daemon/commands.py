@@ -4,33 +4,28 @@ from __future__ import annotations
 
 import asyncio
 import json
-import time
-from collections import OrderedDict
 from collections.abc import Callable
 from functools import partial
 from typing import Any, Final, Protocol
 
 import structlog
 
+from panoexec.daemon.beginnings import Beginning
 from panoexec.daemon.error_codes import refusal_of
-from panoexec.daemon.errors import MissionBusyError
 from panoexec.daemon.mission_request import chosen_profile, settings_of, spec_of
 from panoexec.daemon.missions import Missions
-from panoexec.daemon.planner import plan_apart
+from panoexec.daemon.planning_desk import PlanningDesk
+from panoexec.daemon.stopping import DECLINED, Stopping
 from panoexec.daemon.vehicle_link import VehicleLink
 from panoexec.inputs.config import Config
 from panoexec.inputs.plan_file import camera_to_data
-from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.mission.executor import Mission
 from panoexec.mission.mission_requests import CommandRefusedError
 from panoexec.mqtt.answers import planned
-from panoexec.mqtt.incoming import Incoming
+from panoexec.mqtt.incoming import Incoming, expired
 from panoexec.mqtt.messages import Response, dump, failed, ok
 from panoexec.mqtt.requests import (
-    AbortRequest,
     DoctorRequest,
-    FinishRequest,
-    PauseRequest,
     PlanRequest,
     RefusedRequestError,
     RepeatRequest,
@@ -39,16 +34,13 @@ from panoexec.mqtt.requests import (
     SetProfileRequest,
     SkipRequest,
     StartRequest,
+    StopRequest,
     parse_request,
 )
 from panoexec.mqtt.transaction_file import FORGOTTEN
 from panoexec.mqtt.transactions import Transactions
-from panoexec.planning.model import Plan
 
 CAMERA: Final = "camera"
-DECLINED: Final = "declined mission"
-
-_KEPT_PLANS: Final = 4
 
 _log = structlog.get_logger(__name__)
 
@@ -66,6 +58,7 @@ class Commands:
 
     Attributes:
         camera: set by `set_profile`; None = the configured one.
+        stopping: executes `abort`, `finish` and `pause`.
     """
 
     def __init__(
@@ -101,10 +94,9 @@ class Commands:
         self._respond = respond
         self._refresh = refresh
         self._examine = examine
-        self._plans: OrderedDict[str, Plan] = OrderedDict()
-        self._planning = asyncio.Lock()
-        self._starting: asyncio.Task[Plan] | None = None
+        self._plans = PlanningDesk()
         self._forgot = False
+        self.stopping = Stopping(missions=missions, transactions=transactions, group=group, respond=respond)
 
     async def restore(self) -> None:
         """Restore the camera profile that was set before a restart."""
@@ -131,20 +123,33 @@ class Commands:
         """Take a request as it came; returns at once and never raises."""
         try:
             request = parse_request(incoming.command, incoming.payload, retained=incoming.retained, size=incoming.size)
+            if isinstance(request, StopRequest):
+                self.stopping.take(request, incoming)
+                return
             is_new = self._transactions.enter(request, partial(self._respond, incoming))
         except RefusedRequestError as error:
             _log.warning("request refused", command=incoming.command[:60], code=error.code, error=error.message[:300])
             self._respond(incoming, dump(failed(error)))
             return
-        if is_new:
-            serving = self._transactions.serve(request, partial(self._response_to, request, incoming))
-            self._group.create_task(serving, name=f"request {request.command}")
+        if not is_new:
+            return
+        beginning = None
+        if isinstance(request, StartRequest | ResumeRequest):
+            beginning = self.stopping.expect("start" if isinstance(request, StartRequest) else "resume", incoming)
+        self._group.create_task(self._serve(request, incoming, beginning), name=f"request {request.command}")
 
-    async def _response_to(self, request: Request, incoming: Incoming) -> Response:
+    async def _serve(self, request: Request, incoming: Incoming, beginning: Beginning | None) -> None:
+        try:
+            await self._transactions.serve(request, partial(self._response_to, request, incoming, beginning))
+        finally:
+            if beginning is not None:
+                self.stopping.forget(beginning)
+
+    async def _response_to(self, request: Request, incoming: Incoming, beginning: Beginning | None) -> Response:
         """Execute the request unless it has expired; every failure becomes a response."""
         try:
-            _check_fresh(incoming)
-            return ok(request.transaction, await self._execute(request))
+            incoming.check_fresh()
+            return ok(request.transaction, await self._execute(request, incoming, beginning))
         except Exception as error:  # noqa: BLE001  (the edge of the service: no request may end the daemon)
             refused = refusal_of(error)
             if refused.code == "internal":
@@ -152,42 +157,38 @@ class Commands:
         _log.warning("request failed", command=request.command, code=refused.code, error=refused.message[:300])
         return failed(refused, request.transaction)
 
-    async def _execute(self, request: Request) -> dict[str, Any]:
+    async def _execute(self, request: Request, incoming: Incoming, beginning: Beginning | None) -> dict[str, Any]:
         _log.info("request", command=request.command, transaction=str(request.transaction)[:128])
         match request:
             case StartRequest():
-                data = await self._start(request)
+                assert beginning is not None
+                data = await self._start(request, incoming, beginning)
             case PlanRequest():
-                data = planned(await self._plan(spec_of(self._config(), request, camera=self.camera)))
+                spec = spec_of(self._config(), request, camera=self.camera)
+                data = planned(await self._plans.for_sender(spec, incoming.sender))
             case ResumeRequest():
-                data = await self._resume()
-            case AbortRequest():
-                data = await self._abort(request.reason)
+                assert beginning is not None
+                data = await self._resume(incoming, beginning)
             case DoctorRequest():
                 data = await self._examine(photo=request.photo)
             case SetProfileRequest():
                 data = await self._set_profile(request.camera)
-            case PauseRequest() | FinishRequest() | SkipRequest() | RepeatRequest():
+            case SkipRequest() | RepeatRequest():
                 data = await self._command(request)
             case _:
                 data = self._refresh()
         return data
 
-    async def _command(self, request: PauseRequest | FinishRequest | SkipRequest | RepeatRequest) -> dict[str, Any]:
+    async def _command(self, request: SkipRequest | RepeatRequest) -> dict[str, Any]:
         mission = await self._missions.under_way()
         if mission is None:
             raise CommandRefusedError(f"cannot {request.command}: no mission is under way")
-        shot: dict[str, Any] = {}
         match request:
-            case PauseRequest():
-                mission.commands.pause(request.reason)
-            case FinishRequest():
-                mission.commands.finish(request.reason)
             case SkipRequest():
-                shot = {"shot": mission.commands.skip(request.shot)}
+                shot = mission.commands.skip(request.shot)
             case RepeatRequest():
-                shot = {"shot": mission.commands.repeat(request.shot)}
-        return shot | await self._journaled_state(mission)
+                shot = mission.commands.repeat(request.shot)
+        return {"shot": shot} | await self._journaled_state(mission)
 
     async def _journaled_state(self, mission: Mission) -> dict[str, Any]:
         """Wait until the command is in the journal; return mission id and state."""
@@ -196,76 +197,38 @@ class Commands:
 
     # --- missions
 
-    async def _plan(self, spec: PlanSpec) -> Plan:
-        key = repr(spec)
-        known = self._plans.get(key)
-        if known is None:
-            async with self._planning:
-                known = await plan_apart(spec)
-            self._plans[key] = known
-            while len(self._plans) > _KEPT_PLANS:
-                self._plans.popitem(last=False)
-        return known
-
-    async def _start(self, request: StartRequest) -> dict[str, Any]:
+    async def _start(self, request: StartRequest, incoming: Incoming, beginning: Beginning) -> dict[str, Any]:
         config = self._config()
         spec = spec_of(config, request, camera=self.camera)
         settings = settings_of(config, spec)
-        async with self._missions.claimed():
+        async with self._missions.claimed(beginning):
             devices = self._vehicle.ready_devices()
-            planning = asyncio.create_task(self._plan(spec), name="plan a mission")
-            self._starting = planning
             try:
-                await asyncio.wait({planning})
-                if planning.cancelled():
-                    raise CommandRefusedError("aborted before it began")
-                plan = planning.result()
-            finally:
-                self._starting = None
-                planning.cancel()
+                plan = await beginning.before_it(self._plans.for_mission(spec), deadline_s=incoming.expires_s)
+            except TimeoutError:
+                raise expired() from None
+            incoming.check_fresh()
             name = await self._missions.begin(plan, settings, devices, request.reference or config.mission.reference)
         return {"mission_id": name} | planned(plan)
 
-    async def _resume(self) -> dict[str, Any]:
+    async def _resume(self, incoming: Incoming, beginning: Beginning) -> dict[str, Any]:
         mission = await self._missions.under_way()
+        await self._missions.look_again()
+        incoming.check_fresh()
         if mission is not None:
+            beginning.commit()
             mission.commands.resume()
             return await self._journaled_state(mission)
-        async with self._missions.claimed():
+        async with self._missions.claimed(beginning):
+            incoming.check_fresh()
             if self._missions.offer is None:
                 raise CommandRefusedError("cannot resume: no mission is paused and none was interrupted")
-            await self._transactions.remember(DECLINED, None)
+            beginning.check()
+            await self.stopping.allow_resuming()
             return {"mission_id": await self._missions.go_on(self._vehicle.ready_devices())}
-
-    async def _abort(self, reason: str) -> dict[str, Any]:
-        if self._starting is not None:
-            self._starting.cancel()
-            return {"mission_id": None}
-        mission = await self._missions.under_way()
-        if mission is not None:
-            mission.commands.abort(reason)
-            return await self._journaled_state(mission)
-        if self._missions.busy:
-            raise MissionBusyError("the mission is just beginning: ask again")
-        offer = self._missions.offer
-        if offer is None:
-            raise CommandRefusedError("cannot abort: no mission is under way")
-        # it stays on disk and may be resumed by request, but is not resumed automatically
-        await self._transactions.remember(DECLINED, offer.stored_id)
-        return {"mission_id": offer.stored_id}
-
-    async def may_auto_resume(self) -> bool:
-        """Whether the interrupted mission may resume automatically: the operator has not aborted it."""
-        offer = self._missions.offer
-        return offer is not None and await self._transactions.recall(DECLINED) != offer.stored_id
 
     async def _set_profile(self, camera: str | dict[str, Any] | None) -> dict[str, Any]:
         profile = chosen_profile(self._config(), camera)
         await self._transactions.remember(CAMERA, None if camera is None else json.dumps(camera))
         self.camera = camera
         return {"camera": camera_to_data(profile.camera)}
-
-
-def _check_fresh(incoming: Incoming) -> None:
-    if time.monotonic() > incoming.expires_s:
-        raise RefusedRequestError("expired", "the request's message expiry passed before it was obeyed")

@@ -153,6 +153,7 @@ class Daemon:
             transactions=transactions,
             changed=self._changed.set,
             on_readable=resume.storage_readable,
+            on_recovered=self.missions.look_again,
         )
         await self._storage.check()
         self._publisher.publish_plan()
@@ -173,6 +174,8 @@ class Daemon:
         _log.info("stopping")
         self._notifier.stopping("stopping after the current photo")
         self._notifier.extend_timeout(_STOP_S + 2 * _FLUSH_S)
+        if self._commands is not None:
+            self._commands.stopping.call_off()
         try:
             async with asyncio.timeout(_STOP_S):
                 await self.missions.interrupted("panoexec was stopped; the mission can be resumed")
@@ -202,6 +205,8 @@ class Daemon:
         return self._publisher.status_line()
 
     def _mission_changed(self) -> None:
+        if self._storage is not None and self.missions.trouble:
+            self._storage.check_soon()
         self._publisher.publish_plan()
         self._changed.set()
 

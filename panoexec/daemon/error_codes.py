@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from typing import Final
 
-from panoexec.daemon.errors import MissionBusyError, MissionStorageError, VehicleNotReadyError
+from panoexec.daemon.errors import (
+    MissionBusyError,
+    MissionStorageError,
+    PlanningBudgetError,
+    SupersededError,
+    VehicleNotReadyError,
+)
 from panoexec.errors import PanoexecError, PlanningError, UsageError
 from panoexec.mission.mission_requests import CommandRefusedError
 from panoexec.mqtt.requests import ErrorCode, RefusedRequestError
@@ -12,11 +18,13 @@ from panoexec.store.session import NotResumableError
 
 CODES: Final[dict[type[Exception], ErrorCode]] = {
     CommandRefusedError: "refused",
+    SupersededError: "superseded",
     NotResumableError: "refused",
     MissionBusyError: "busy",
     VehicleNotReadyError: "not_ready",
     MissionStorageError: "storage",
     PlanningError: "planning",
+    PlanningBudgetError: "planning_budget",
     UsageError: "invalid",
     PanoexecError: "device",
     Exception: "internal",

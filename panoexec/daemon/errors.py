@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from panoexec.errors import DeviceError, MissionError
+from panoexec.errors import DeviceError, MissionError, PlanningError
+from panoexec.mission.mission_requests import CommandRefusedError
 
 
 class MissionBusyError(MissionError):
@@ -15,3 +16,11 @@ class MissionStorageError(MissionError):
 
 class VehicleNotReadyError(DeviceError):
     """Autopilot, gimbal or camera is missing; the message says which."""
+
+
+class SupersededError(CommandRefusedError):
+    """A later request took the place of this one; nothing was done."""
+
+
+class PlanningBudgetError(PlanningError):
+    """A plan needs more memory, processor time or images than the daemon grants; the message says which."""

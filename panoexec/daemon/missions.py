@@ -11,6 +11,7 @@ from typing import Final, Literal
 import structlog
 
 from panoexec.clock import Clock
+from panoexec.daemon.beginnings import Beginning, StopCommand
 from panoexec.daemon.errors import MissionBusyError, MissionStorageError
 from panoexec.daemon.storage import storage_trouble
 from panoexec.devices import Severity, Vehicle
@@ -69,6 +70,7 @@ class Missions:
         record: of the running, the last, or the offered mission; None without one.
         plan: its plan.
         mission: the executor while a mission runs.
+        beginning: the mission that has the mission slot and does not exist yet.
         offer: the interrupted mission that `resume` continues.
         trouble: the error that ended the last mission; "" for none.
         make_way: awaited before a mission uses the devices: ends whatever else uses them.
@@ -95,6 +97,7 @@ class Missions:
         self.record: MissionRecord | None = None
         self.plan: Plan | None = None
         self.mission: Mission | None = None
+        self.beginning: Beginning | None = None
         self.offer: Offer | None = None
         self.trouble = ""
         self.make_way: Callable[[], Awaitable[None]] = _nothing_in_the_way
@@ -107,6 +110,7 @@ class Missions:
         self._next: asyncio.Queue[tuple[StoredMission, Devices, Reference]] = asyncio.Queue()
         self._claimed = False
         self._over = False
+        self._unread = False
         self._idle = asyncio.Event()
         self._idle.set()
         self._begun = asyncio.Event()
@@ -121,6 +125,16 @@ class Missions:
         """Return when no mission runs or is starting, and the files of the last one are written."""
         await self._idle.wait()
 
+    def stop(self, command: StopCommand) -> None:
+        """Give a stop to the running mission.
+
+        Raises:
+            CommandRefusedError: none runs, or its state does not allow it.
+        """
+        if self.mission is None:
+            raise CommandRefusedError(f"cannot {command.verb}: no mission is under way")
+        _give(self.mission, command)
+
     async def under_way(self) -> Mission | None:
         """The running mission; waits for one that is starting, so that it can be commanded at once."""
         await self._begun.wait()
@@ -134,10 +148,13 @@ class Missions:
         self._sink.publish(event)
 
     @contextlib.asynccontextmanager
-    async def claimed(self) -> AsyncIterator[None]:
+    async def claimed(self, beginning: Beginning) -> AsyncIterator[None]:
         """Reserve the mission slot; it is released if the block fails.
 
         Waits for a finished mission whose files are still being written.
+
+        Args:
+            beginning: of the mission that is to have the slot.
 
         Raises:
             MissionBusyError: a mission flies.
@@ -150,6 +167,7 @@ class Missions:
             name = self.record.mission_id if self.mission is not None and self.record is not None else "a mission"
             raise MissionBusyError(f"{name} is under way: abort it first, or wait for its end")
         self._claimed, self._over = True, False
+        self.beginning = beginning
         self._idle.clear()
         try:
             await self.make_way()
@@ -163,7 +181,9 @@ class Missions:
 
         Raises:
             MissionStorageError: it cannot be stored.
+            CommandRefusedError: it was called off.
         """
+        self._commit()
         storage = self._config().storage
         try:
             await asyncio.to_thread(self._check_space)
@@ -177,7 +197,6 @@ class Missions:
         except PanoexecError as error:
             raise MissionStorageError(str(error)) from error
         self.offer, self.damage = None, ""
-        self._begun.clear()
         self._next.put_nowait((stored, devices, reference))
         return stored.directory.mission_id
 
@@ -186,7 +205,9 @@ class Missions:
 
         Raises:
             NotResumableError: none is offered, or it cannot be resumed.
+            CommandRefusedError: it was called off.
         """
+        self._commit()
         if self.offer is None:
             raise NotResumableError("cannot resume: no mission is paused and none was interrupted")
         storage = self._config().storage.path
@@ -199,7 +220,6 @@ class Missions:
         except PanoexecError as error:
             raise NotResumableError(str(error)) from error
         self.offer = None
-        self._begun.clear()
         # only relevant if the process died before its first event was on disk
         self._next.put_nowait((stored, devices, "heading" if stored.extra.get(REFERENCE) == "heading" else "north"))
         return directory.mission_id
@@ -290,6 +310,7 @@ class Missions:
         with structlog.contextvars.bound_contextvars(mission_id=stored.directory.mission_id):
             async with opened as session:
                 self.mission, self.record, self.plan = session.mission, session.mission.record, stored.plan
+                self._give_stops(session.mission)
                 self._changed()
                 record = await session.run()
                 _log.info("mission ended", state=record.state.value, reason=record.reason)
@@ -303,18 +324,40 @@ class Missions:
         record = self.record
         if record is not None and record.state in (MissionState.FAILED, MissionState.PAUSED):
             await self.find_interrupted()
+            self._unread = self.offer is None
+
+    async def look_again(self) -> None:
+        """Offer the mission that a failed storage has ended, if it could not be read then."""
+        if self._unread and not self._claimed:
+            await self.find_interrupted()
+            self._unread = self.offer is None
+            self._changed()
 
     async def interrupted(self, reason: str) -> None:
         """Stop the mission after the current photo and return when it is on disk; it can be resumed."""
-        mission = self.mission
-        if mission is not None:
-            with contextlib.suppress(CommandRefusedError):
-                mission.commands.interrupt(reason)
+        command = StopCommand("interrupt", reason)
+        if self.beginning is not None:
+            self.beginning.stop(command)
+        with contextlib.suppress(CommandRefusedError):
+            self.stop(command)
         if self._claimed:
             await self._idle.wait()
 
+    def _commit(self) -> None:
+        """From here on, the mission is created: stops are kept for it, and other commands wait for it."""
+        assert self.beginning is not None
+        self.beginning.commit()
+        self._begun.clear()
+
+    def _give_stops(self, mission: Mission) -> None:
+        """Give the mission the stops that arrived before it existed."""
+        beginning, self.beginning = self.beginning, None
+        for command in beginning.stops if beginning is not None else ():
+            _give(mission, command)
+
     def _free(self) -> None:
         self._claimed = False
+        self.beginning = None
         self._idle.set()
         self._begun.set()
 
@@ -328,3 +371,16 @@ class Missions:
 
 async def _nothing_in_the_way() -> None:
     """Nobody else uses the devices."""
+
+
+def _give(mission: Mission, command: StopCommand) -> None:
+    commands = mission.commands
+    match command.verb:
+        case "abort":
+            commands.abort(command.reason)
+        case "finish":
+            commands.finish(command.reason)
+        case "pause":
+            commands.pause(command.reason)
+        case "interrupt":
+            commands.interrupt(command.reason)

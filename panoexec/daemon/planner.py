@@ -1,34 +1,43 @@
-"""Planning in a process of its own: it may take a core for minutes, and a vehicle may be flying meanwhile.
+"""Planning in a separate process: it may take a core for minutes, and a vehicle may be flying meanwhile.
 
-A thread could not be stopped, would hold up attitudes and answers, and those of requests that nobody waits for any more
-would pile up.
+A thread could not be stopped, would hold up attitudes and answers, and its memory could not be bounded.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import pickle
+import signal
 import sys
 from typing import Final
 
-from panoexec.daemon.planner_process import Outcome
+from panoexec.daemon.errors import PlanningBudgetError
+from panoexec.daemon.planner_process import Outcome, out_of_memory, out_of_time
 from panoexec.errors import PanoexecError, PlanningError, UsageError
 from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.planning.model import Plan
 
-MOST_S: Final = 300.0
-"""Planning that takes longer is given up."""
-
 _CHILD: Final = "from panoexec.daemon.planner_process import main; main()"
-_KINDS: Final[dict[str, type[PanoexecError]]] = {"planning": PlanningError, "usage": UsageError, "": PanoexecError}
+_KINDS: Final[dict[str, type[PanoexecError]]] = {
+    "planning": PlanningError,
+    "usage": UsageError,
+    "budget": PlanningBudgetError,
+    "": PanoexecError,
+}
+_CRASHES: Final = frozenset({-signal.SIGSEGV, -signal.SIGABRT, -signal.SIGBUS})
+# one thread: numpy's linear algebra starts one for each core, each with buffers of its own
+_ENVIRONMENT: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "1"}
 
 
 async def plan_apart(spec: PlanSpec) -> Plan:
     """Compute a plan in a child process, which ends with this call, however that ends.
 
     Raises:
-        PlanningError: no plan can satisfy the constraints, or none was found in time.
+        PlanningError: no plan can satisfy the constraints.
+        PlanningBudgetError: it needs more memory, processor time or images than `panoexec.daemon.planner_process`
+            grants.
         PanoexecError: it failed otherwise.
     """
     process = await asyncio.create_subprocess_exec(
@@ -36,23 +45,28 @@ async def plan_apart(spec: PlanSpec) -> Plan:
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.DEVNULL,
+        env=os.environ | _ENVIRONMENT,
     )
     try:
-        async with asyncio.timeout(MOST_S):
-            out, _ = await process.communicate(pickle.dumps(spec))
-    except TimeoutError as error:
-        raise PlanningError(
-            f"planning took more than {MOST_S:g} s and was given up: ask for a smaller band or a shorter lens"
-        ) from error
+        out, _ = await process.communicate(pickle.dumps(spec))
     finally:
         if process.returncode is None:
             with contextlib.suppress(ProcessLookupError):
                 process.kill()
             await process.wait()
     if process.returncode != 0 or not out:
-        raise PanoexecError(f"planning ended with code {process.returncode}: out of memory?")
+        raise _ended(process.returncode)
     outcome = pickle.loads(out)  # noqa: S301  (from our own child)
     assert isinstance(outcome, Outcome)
     if outcome.plan is None:
         raise _KINDS[outcome.kind](outcome.text)
     return outcome.plan
+
+
+def _ended(code: int | None) -> PanoexecError:
+    """The error for a child that ended without an outcome."""
+    if code == -signal.SIGKILL:
+        return PlanningBudgetError(f"the kernel ended the planner: the computer is out of memory, or {out_of_time()}")
+    if code in _CRASHES:  # libraries that do not report a failed allocation
+        return PlanningBudgetError(out_of_memory())
+    return PanoexecError(f"planning ended with code {code}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 from collections.abc import Awaitable, Callable
 from typing import Final
@@ -13,6 +14,7 @@ from panoexec.inputs.config import StorageSection
 from panoexec.mqtt.transactions import Transactions
 
 _PERIOD_S: Final = 15.0
+_PERIOD_IN_TROUBLE_S: Final = 3.0
 
 _log = structlog.get_logger(__name__)
 
@@ -47,39 +49,56 @@ class StorageMonitor:
         transactions: Transactions,
         changed: Callable[[], None],
         on_readable: Callable[[], Awaitable[None]],
+        on_recovered: Callable[[], Awaitable[None]],
     ) -> None:
-        """Describe it.
+        """Store the collaborators.
 
         Args:
-            section: `[storage]` as of now.
-            transactions: the store whose file is opened as soon as that is possible.
+            section: returns the current `[storage]`.
+            transactions: the store whose file is opened as soon as that is possible, and what it could not write is
+                written.
             changed: called when there is trouble, or none any more.
             on_readable: called once, when the storage can first be read.
+            on_recovered: called each time when there is no trouble any more.
         """
         self.trouble = ""
         self._section = section
         self._transactions = transactions
         self._changed = changed
         self._on_readable = on_readable
+        self._on_recovered = on_recovered
         self._was_readable = False
+        self._due = asyncio.Event()
 
     async def check(self) -> None:
         """Check now."""
         closed = await self._transactions.opened()
         trouble = closed or await asyncio.to_thread(storage_trouble, self._section())
-        if trouble != self.trouble:
-            self.trouble = trouble
+        was, self.trouble = self.trouble, trouble
+        if trouble != was:
             if trouble:
                 _log.warning("storage cannot be used", trouble=trouble)
             else:
                 _log.warning("storage recovered")
             self._changed()
-        if not closed and not self._was_readable:
+        if closed:
+            return
+        await self._transactions.write_back()
+        if not self._was_readable:
             self._was_readable = True
             await self._on_readable()
+        elif was and not trouble:
+            await self._on_recovered()
+
+    def check_soon(self) -> None:
+        """Check without waiting for the next period: something failed that may be the storage's fault."""
+        self._due.set()
 
     async def run(self) -> None:
-        """Check every 15 s."""
+        """Check every 15 s, in trouble every 3 s."""
         while True:
-            await asyncio.sleep(_PERIOD_S)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_PERIOD_IN_TROUBLE_S if self.trouble else _PERIOD_S):
+                    await self._due.wait()
+            self._due.clear()
             await self.check()

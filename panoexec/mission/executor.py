@@ -228,6 +228,7 @@ class Mission:
         if context.settings.feedback == "none":
             text = "no attitude feedback: poses are assumed, not measured (open loop)"
             context.recorder.emit(ev.Warned(code="open_loop", text=text))
+        self.commands.begin()
 
     async def _run_phases(self, group: asyncio.TaskGroup) -> None:
         """Run preflight, shooting and finishing; return when the mission has ended or must stop."""

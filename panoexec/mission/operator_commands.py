@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Callable
+from functools import partial
+
 from panoexec.mission.context import MissionContext
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import ShotStatus
@@ -12,14 +16,29 @@ from panoexec.mission.mission_requests import CommandRefusedError, Stop
 class OperatorCommands:
     """The commands of a mission. Each takes effect at the next safe point: at once while slewing, else after the photo.
 
-    Every method raises `CommandRefusedError`, and changes nothing, when the mission's state does not allow it.
+    Every method raises `CommandRefusedError`, and changes nothing, when the mission's state does not allow it. The
+    commands that stop a mission (`pause`, `finish`, `abort`, `interrupt`) are accepted before it runs, too: they are
+    kept and take effect before anything moves.
     """
 
     def __init__(self, context: MissionContext) -> None:
         self._context = context
+        self._runs = False
+        self._kept: list[Callable[[], None]] = []
+
+    def begin(self) -> None:
+        """The mission runs: execute the commands that arrived before, as far as its state allows."""
+        self._runs = True
+        for command in self._kept:
+            with contextlib.suppress(CommandRefusedError):
+                command()
+        self._kept.clear()
 
     def pause(self, reason: str = "") -> None:
         """Pause after the current photo until `resume`."""
+        if not self._runs:
+            self._kept.append(partial(self.pause, reason))
+            return
         self._check_running("pause")
         if "command" in self._context.requests.holds:
             raise CommandRefusedError("cannot pause: the mission is paused already")
@@ -75,6 +94,9 @@ class OperatorCommands:
 
     def finish(self, reason: str = "") -> None:
         """End shooting and accept the gaps."""
+        if not self._runs:
+            self._kept.append(partial(self.finish, reason))
+            return
         self._check_running("finish")
         if self._context.requests.must_end_shooting or self._context.record.state is MissionState.FINISHING:
             raise CommandRefusedError("cannot finish: the mission is finishing already")
@@ -83,12 +105,18 @@ class OperatorCommands:
 
     def abort(self, reason: str = "") -> None:
         """End the mission."""
+        if not self._runs:
+            self._kept.append(partial(self.abort, reason))
+            return
         self._check_running("abort")
         self._log("abort", reason=reason)
         self._context.requests.request_stop(Stop("abort", reason or "aborted by command"))
 
     def interrupt(self, reason: str = "") -> None:
         """End the process after the current photo; the mission can be resumed."""
+        if not self._runs:
+            self._kept.append(partial(self.interrupt, reason))
+            return
         self._check_running("interrupt")
         self._log("interrupt", reason=reason)
         self._context.requests.request_stop(

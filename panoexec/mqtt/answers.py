@@ -78,6 +78,24 @@ class OfferedFields(MissionFields):
     state: Annotated[str | None, WithJsonSchema({"type": "string"})] = None
 
 
+class StoppedStateFields(MissionStateFields):
+    """The mission and its state after the command; null and `idle` if the mission does not exist yet.
+
+    `durable`: the command outlives the process, because it is in the mission's journal; it is executed in any case.
+    """
+
+    durable: bool
+
+
+class StoppedFields(OfferedFields):
+    """The mission; its state only while it is under way. Null if no mission was begun.
+
+    `durable`: the command outlives the process, because it is on disk; it is executed in any case.
+    """
+
+    durable: bool
+
+
 class ShotFields(Fields):
     """The shot that the command was about, and the mission."""
 
@@ -134,10 +152,10 @@ class PlanFields(Fields):
 ANSWERS: dict[str, type[BaseModel]] = {
     "plan": PlannedFields,
     "start": StartedFields,
-    "pause": MissionStateFields,
+    "pause": StoppedStateFields,
     "resume": OfferedFields,
-    "abort": OfferedFields,
-    "finish": MissionStateFields,
+    "abort": StoppedFields,
+    "finish": StoppedStateFields,
     "skip": ShotFields,
     "repeat": ShotFields,
     "get": State,

@@ -205,10 +205,13 @@ class MqttLink:
                 raise result
 
     async def _read(self, client: aiomqtt.Client) -> None:
+        inbox = client._queue  # noqa: SLF001
+        assert isinstance(inbox, Inbox)
         async for message in client.messages:
             incoming = incoming_of(message, self.topics)
             if incoming is not None:
                 self._on_request(incoming)
+            await inbox.read_on()
 
     async def _send(self, client: BrokerClient) -> None:
         while True:

@@ -21,6 +21,12 @@ MAX_PAYLOAD = 64 * 1024
 
 MAX_SHOT = 100_000
 
+STOPPING = frozenset({"abort", "finish", "pause"})
+"""Commands that stop the vehicle: executed on arrival, before all other requests that wait, on any load and disk."""
+
+MOVING = frozenset({"resume", "start"})
+"""Commands that can set the vehicle in motion: a stopping command also stops those that arrived before it."""
+
 ErrorCode: TypeAlias = Literal[
     "too_large",
     "not_json",
@@ -34,6 +40,8 @@ ErrorCode: TypeAlias = Literal[
     "refused",
     "not_ready",
     "planning",
+    "planning_budget",
+    "superseded",
     "storage",
     "device",
     "overload",
@@ -200,11 +208,16 @@ class StartRequest(PlanRequest):
     acts: ClassVar[bool] = True
 
 
-class PauseRequest(Request):
+class StopRequest(Request):
+    """The fields of `pause`, `finish` and `abort`, the `STOPPING` commands."""
+
+    reason: Text = ""
+
+
+class PauseRequest(StopRequest):
     """Hold after the current photo until `resume`."""
 
     command: ClassVar[str] = "pause"
-    reason: Text = ""
 
 
 class ResumeRequest(Request):
@@ -213,18 +226,16 @@ class ResumeRequest(Request):
     command: ClassVar[str] = "resume"
 
 
-class AbortRequest(Request):
+class AbortRequest(StopRequest):
     """End the mission permanently."""
 
     command: ClassVar[str] = "abort"
-    reason: Text = ""
 
 
-class FinishRequest(Request):
+class FinishRequest(StopRequest):
     """End shooting and accept the gaps."""
 
     command: ClassVar[str] = "finish"
-    reason: Text = ""
 
 
 class SkipRequest(Request):

@@ -1,23 +1,27 @@
-"""At most once: the same transaction gets the same answer and acts once, across restarts too.
+"""Transactions: the same request twice gets the same response and is executed once, across restarts too.
 
-Everything that decides so is here. A request that repeats one under way gets the answer of that one (`enter`). A
-request that only reads is answered from memory if it repeats a recent one. One that acts is kept in an SQLite file in
-the storage: it is noted before it acts and its answer after, both durable. A request that was noted and never answered
-belongs to a process that died in between: nobody knows whether it acted, so it does not act again. The file also keeps
-the few things that the daemon must remember (`remember`, `recall`).
+A request that repeats one in progress gets its response (`enter`). A request that only reads is answered from memory if
+it repeats a recent one. One that acts is kept in an SQLite file in the storage: the request is stored before it is
+executed and its response afterwards, both durably. A request that was stored and never answered belongs to a process
+that died in between; whether it was executed is unknown, so it is not executed again.
 
-A full or read-only disk may recover: the store can be opened nevertheless, rejects requests with an effect until then,
-and tries to open its file again at the next use.
+A stopping request does not wait for the disk (`enter_stop`): it is looked up in memory, where all stored transactions
+are known, and stored after it was executed. What cannot be stored is kept in memory and stored when the disk recovers
+(`write_back`).
+
+The file also keeps the few values that the daemon must remember (`remember`, `recall`). A full or read-only disk may
+recover: the store can be opened nevertheless, rejects requests with an effect until then, and tries to open its file
+again at the next use.
 """
 
 from __future__ import annotations
 
 import asyncio
-import hashlib
-import json
+import contextlib
 import sqlite3
+import sys
 from collections import OrderedDict
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,31 +31,40 @@ import structlog
 
 from panoexec.errors import UsageError
 from panoexec.mqtt.messages import Response, dump, failed
-from panoexec.mqtt.requests import RefusedRequestError, Request
+from panoexec.mqtt.requests import STOPPING, RefusedRequestError, Request
 from panoexec.mqtt.transaction_file import StorageDownError, open_transaction_file
+from panoexec.mqtt.transaction_memory import (
+    KEPT,
+    Known,
+    TransactionMemory,
+    conflict,
+    fields_digest,
+    interrupted,
+    key_of,
+)
 
 T = TypeVar("T")
 TransactionStatus: TypeAlias = Literal["new", "under way", "interrupted", "answered"]
 
-KEPT: Final = 10_000
-"""Answers that are kept on disk; older ones are forgotten."""
-
 KEPT_IN_MEMORY: Final = 200
-"""Answers to requests that only read."""
+"""Responses to requests that only read."""
 
 MAX_UNDER_WAY: Final = 64
-"""Requests that may be worked on at the same time, and repeats of one that get its answer."""
+"""Requests that may be in progress at the same time, and repeats of one that get its response."""
+
+STOP_WRITE_S: Final = 0.2
+"""How long the response to a stopping request waits for the disk."""
 
 _log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Noted:
-    """What is known of a transaction.
+    """A transaction in the store.
 
     Attributes:
-        status: whether it may act now (`new`), acts already, acted in a process that died, or was answered.
-        response: the answer that was given, as JSON; "" without one.
+        status: not stored before (`new`), in progress, in progress when its process died, or answered.
+        response: the response that was sent, as JSON; "" without one.
     """
 
     status: TransactionStatus
@@ -60,18 +73,19 @@ class Noted:
 
 @dataclass(frozen=True, slots=True)
 class _UnderWay:
-    """A request that is worked on, and everybody who gets its answer."""
+    """A request in progress, and all receivers of its response."""
 
     digest: str
     replies: list[Callable[[bytes], None]] = field(default_factory=list)
+    stops: bool = False
 
 
 class Transactions:
-    """The store; `open` it and close it. Work is done in a thread of its own.
+    """The store; must be opened (`open`) and closed. File access runs in a thread of its own.
 
     Args:
-        path: the file; made if it does not exist.
-        boot_id: of this process.
+        path: the file; created if it does not exist.
+        boot_id: id of this process.
     """
 
     def __init__(self, path: Path, boot_id: str) -> None:
@@ -81,20 +95,22 @@ class Transactions:
         self._connection: sqlite3.Connection | None = None
         self._under_way: dict[str, _UnderWay] = {}
         self._read: OrderedDict[str, tuple[str, bytes]] = OrderedDict()
+        self._memory = TransactionMemory()
+        self._writing = asyncio.Lock()
 
-    # --- life
+    # --- opening and closing
 
     @classmethod
     async def open(cls, path: Path, *, boot_id: str, patient: bool = False) -> Self:
-        """Open the store, or make it.
+        """Open the store, or create it.
 
         Args:
             path: the file.
-            boot_id: of this process.
+            boot_id: id of this process.
             patient: also if the storage is full or read-only: `opened` tries again.
 
         Raises:
-            UsageError: it cannot be made, is damaged, or is in use by another daemon.
+            UsageError: it cannot be created, is damaged, or is in use by another daemon.
         """
         store = cls(path, boot_id)
         try:
@@ -105,13 +121,13 @@ class Transactions:
         return store
 
     async def opened(self, *, patient: bool = True) -> str:
-        """Open the file if that was not possible yet; why the storage cannot be used, "" if it is open.
+        """Open the file if it is not open yet; returns why the storage cannot be used, "" if the file is open.
 
         Args:
             patient: return the reason instead of raising if the storage is full or read-only.
 
         Raises:
-            UsageError: it cannot be made, is damaged, or is in use by another daemon.
+            UsageError: it cannot be created, is damaged, or is in use by another daemon.
         """
         if self._connection is not None:
             return ""
@@ -124,54 +140,101 @@ class Transactions:
         return ""
 
     async def close(self) -> None:
-        """Let the file go."""
+        """Close the file."""
         if self._connection is not None:
             await asyncio.get_running_loop().run_in_executor(self._pool, self._connection.close)
         self._pool.shutdown(wait=False)
 
     def _database(self) -> sqlite3.Connection:
         if self._connection is None:
-            self._connection = open_transaction_file(self.path)
+            connection = open_transaction_file(self.path)
+            self._memory.add_stored(_stored(connection))
+            self._connection = connection
         return self._connection
 
-    # --- at most once
+    # --- executed at most once
 
     def enter(self, request: Request, reply: Callable[[bytes], None]) -> bool:
-        """Take a request; `reply` gets its answer.
+        """Accept a request; `reply` is called with its response.
 
         Returns:
-            Whether the caller must `serve` it: False for a repeat of one that is under way, which gets its answer, or
+            Whether the caller must `serve` it: False for a repeat of one in progress, which gets the same response, or
             none if it was repeated too often.
 
         Raises:
-            RefusedRequestError: another request under way has this transaction, or too many are under way.
+            RefusedRequestError: another request in progress has this transaction, or too many are in progress.
         """
-        key, digest = _key(request), _digest(request)
-        same = self._under_way.get(key)
-        if same is not None and same.digest != digest:
+        if self._joins(request, reply):
+            return False
+        if sum(not one.stops for one in self._under_way.values()) >= MAX_UNDER_WAY:
+            raise RefusedRequestError(
+                "overload", f"{MAX_UNDER_WAY} requests are under way: ask again later", transaction=request.transaction
+            )
+        self._under_way[key_of(request)] = _UnderWay(_digest(request), [reply])
+        return True
+
+    def enter_stop(self, request: Request, reply: Callable[[bytes], None]) -> bool:
+        """Accept a stopping request, however many are in progress; `reply` is called with its response.
+
+        Returns:
+            Whether the caller must execute it now and `serve_stop` it: False for a repeat of one that was executed, or
+            is in progress.
+
+        Raises:
+            RefusedRequestError: another request has this transaction, or it was in progress when a process died.
+        """
+        if self._joins(request, reply):
+            return False
+        known = self._memory.find(request)
+        if known is not None:
+            if known.response is None:
+                raise interrupted(request)
+            reply(known.response)
+            return False
+        self._under_way[key_of(request)] = _UnderWay(_digest(request), [reply], stops=True)
+        return True
+
+    def _joins(self, request: Request, reply: Callable[[bytes], None]) -> bool:
+        """Whether the request repeats one in progress, whose response it gets."""
+        same = self._under_way.get(key_of(request))
+        if same is None:
+            return False
+        if same.digest != _digest(request):
             raise RefusedRequestError(
                 "conflict",
                 "another request has this transaction",
                 field="transaction",
                 transaction=request.transaction,
             )
-        if same is not None:
-            if len(same.replies) < MAX_UNDER_WAY:
-                same.replies.append(reply)
-            return False
-        if len(self._under_way) >= MAX_UNDER_WAY:
-            raise RefusedRequestError(
-                "overload", f"{MAX_UNDER_WAY} requests are under way: ask again later", transaction=request.transaction
-            )
-        self._under_way[key] = _UnderWay(digest, [reply])
+        if len(same.replies) < MAX_UNDER_WAY:
+            same.replies.append(reply)
         return True
 
+    async def serve_stop(self, request: Request, executed: Awaitable[Response]) -> None:
+        """Send the response to all who entered this stopping request, after it was stored or `STOP_WRITE_S` passed.
+
+        Args:
+            request: the request, which was executed.
+            executed: returns its response.
+        """
+        key = key_of(request)
+        try:
+            payload = dump(await executed)
+            self._memory.answered(request, payload)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(STOP_WRITE_S):
+                    await self.write_back()
+        finally:
+            replies = self._under_way.pop(key).replies
+        for reply in replies:
+            reply(payload)
+
     async def serve(self, request: Request, obey: Callable[[], Awaitable[Response]]) -> None:
-        """Send the answer to all who `enter`ed this request: the one that was given before, else that of `obey`."""
+        """Send the response to all who `enter`ed this request: the stored one, else that of `obey`."""
         try:
             payload = await self._answer(request, obey)
         finally:
-            replies = self._under_way.pop(_key(request)).replies
+            replies = self._under_way.pop(key_of(request)).replies
         for reply in replies:
             reply(payload)
 
@@ -182,7 +245,8 @@ class Transactions:
             noted = await self.note(request)
             if noted.status == "answered":
                 return noted.response.encode()
-            _check_new(noted)
+            if noted.status != "new":
+                raise interrupted(request)
         except RefusedRequestError as error:
             _log.warning("request refused", command=request.command, code=error.code, error=error.message[:300])
             return dump(failed(error, request.transaction))
@@ -190,11 +254,12 @@ class Transactions:
         try:
             await self.answered(request, payload.decode())
         except RefusedRequestError as error:
-            _log.error("the answer could not be stored", error=error.message)
+            _log.error("the response could not be stored", error=error.message)
+            self._memory.answered(request, payload)
         return payload
 
     async def _answer_reading(self, request: Request, obey: Callable[[], Awaitable[Response]]) -> bytes:
-        key, digest = _key(request), _digest(request)
+        key, digest = key_of(request), _digest(request)
         known = self._read.get(key)
         if known is not None and known[0] == digest:
             return known[1]
@@ -204,58 +269,93 @@ class Transactions:
             self._read.popitem(last=False)
         return payload
 
-    # --- what is kept on disk
+    # --- on disk
 
     async def note(self, request: Request) -> Noted:
-        """Note that a request is going to act, durably, unless it is known.
+        """Store that a request is going to be executed, durably, unless it is known.
 
         Raises:
             RefusedRequestError: another request had the same transaction; or it cannot be written.
         """
-        key, digest = _key(request), _fields_digest(request)
-        return await self._run(lambda: self._note(key, request.command, digest))
+        unwritten = self._memory.find_unwritten(request)
+        if unwritten is not None:
+            return Noted(status="answered", response=unwritten.decode())
+        key, digest = key_of(request), fields_digest(request)
+        noted = await self._run(lambda: self._note(key, request.command, digest))
+        if noted.status == "new":
+            self._memory.add(request)
+        return noted
 
     async def answered(self, request: Request, response: str) -> None:
-        """Keep the answer, durably.
+        """Store the response, durably.
 
         Raises:
             RefusedRequestError: it cannot be written.
         """
-        key = _key(request)
-
-        def write() -> None:
-            with self._database() as database:
-                database.execute("UPDATE transactions SET response = ? WHERE id = ?", (response, key))
-                database.execute(
-                    "DELETE FROM transactions WHERE number <= (SELECT MAX(number) FROM transactions) - ?", (KEPT,)
-                )
-
-        await self._run(write)
+        key = key_of(request)
+        await self._run(lambda: self._store_response(key, response))
 
     async def remember(self, key: str, value: str | None) -> None:
-        """Keep something under a name, durably; None forgets it.
+        """Store a value under a name, durably; None deletes it.
 
         Raises:
             RefusedRequestError: it cannot be written.
         """
+        self._memory.values.pop(key, None)
+        await self._run(lambda: self._store_value(key, value))
 
-        def write() -> None:
-            with self._database() as database:
-                if value is None:
-                    database.execute("DELETE FROM memory WHERE key = ?", (key,))
-                else:
-                    database.execute("INSERT OR REPLACE INTO memory VALUES (?, ?)", (key, value))
-
-        await self._run(write)
+    def remember_later(self, key: str, value: str | None) -> None:
+        """Keep a value under a name in memory until the next `write_back` stores it."""
+        self._memory.values[key] = value
 
     async def recall(self, key: str) -> str | None:
-        """What was kept under that name."""
+        """The value that was kept under that name, None without one."""
+        if key in self._memory.values:
+            return self._memory.values[key]
 
         def read() -> str | None:
             row = self._database().execute("SELECT value FROM memory WHERE key = ?", (key,)).fetchone()
             return None if row is None else str(row[0])
 
         return await self._run(read)
+
+    async def write_back(self) -> bool:
+        """Store what could not be stored before; returns whether nothing is left, and never raises for the disk."""
+        async with self._writing:
+            rows, values = dict(self._memory.rows), dict(self._memory.values)
+            if not rows and not values:
+                return True
+            try:
+                await self._run(lambda: self._store_all(rows, values))
+            except RefusedRequestError as error:
+                _log.error("responses could not be stored, kept in memory", count=len(rows), error=error.message)
+                return False
+            self._memory.written(rows, values)
+            return True
+
+    def _store_all(self, rows: Mapping[str, Known], values: Mapping[str, str | None]) -> None:
+        for name, value in values.items():
+            self._store_value(name, value)
+        for key, known in rows.items():
+            assert known.response is not None
+            # one stored meanwhile for a different request keeps the transaction
+            with contextlib.suppress(RefusedRequestError):
+                if self._note(key, known.command, known.digest).status != "answered":
+                    self._store_response(key, known.response.decode())
+
+    def _store_response(self, key: str, response: str) -> None:
+        with self._database() as database:
+            database.execute("UPDATE transactions SET response = ? WHERE id = ?", (response, key))
+            database.execute(
+                "DELETE FROM transactions WHERE number <= (SELECT MAX(number) FROM transactions) - ?", (KEPT,)
+            )
+
+    def _store_value(self, key: str, value: str | None) -> None:
+        with self._database() as database:
+            if value is None:
+                database.execute("DELETE FROM memory WHERE key = ?", (key,))
+            else:
+                database.execute("INSERT OR REPLACE INTO memory VALUES (?, ?)", (key, value))
 
     def _note(self, key: str, command: str, digest: str) -> Noted:
         with self._database() as database:
@@ -269,11 +369,7 @@ class Transactions:
                 )
                 return Noted(status="new")
         if (row[0], row[1]) != (command, digest):
-            raise RefusedRequestError(
-                "conflict",
-                f"the transaction was used already for another request ({row[0]}): give each request its own",
-                field="transaction",
-            )
+            raise conflict(str(row[0]))
         if row[3] is not None:
             return Noted(status="answered", response=str(row[3]))
         return Noted(status="under way" if row[2] == self._boot_id else "interrupted")
@@ -289,22 +385,14 @@ class Transactions:
             raise RefusedRequestError("storage", f"{error}; nothing was done") from error
 
 
-def _check_new(noted: Noted) -> None:
-    if noted.status != "new":
-        raise RefusedRequestError(
-            "interrupted",
-            "the daemon ended while it obeyed this request: the state tells whether it did; it does not act again",
-        )
-
-
-def _key(request: Request) -> str:
-    return json.dumps(request.transaction)
+def _stored(connection: sqlite3.Connection) -> dict[str, Known]:
+    """The transactions in the file, oldest first; with the response of stopping requests."""
+    rows = connection.execute("SELECT id, command, digest, response FROM transactions ORDER BY number")
+    return {
+        key: Known(sys.intern(command), digest, response.encode() if response and command in STOPPING else None)
+        for key, command, digest, response in rows
+    }
 
 
 def _digest(request: Request) -> str:
-    return f"{request.command} {_fields_digest(request)}"
-
-
-def _fields_digest(request: Request) -> str:
-    fields = json.dumps(request.model_dump(mode="python"), sort_keys=True)
-    return hashlib.sha256(fields.encode()).hexdigest()
+    return f"{request.command} {fields_digest(request)}"

@@ -145,10 +145,13 @@ async def test_repeats_while_one_is_obeyed_get_its_answer_and_a_flood_is_refused
         assert len({json.dumps(a) for a in answers if a["status"] == "ok"}) == 1
         desk.answers.clear()
         for number in range(MAX_UNDER_WAY + 10):
-            desk.ask("pause", f"n{number}")
-        await desk.heard(MAX_UNDER_WAY + 10)
-        assert desk.codes().count("overload") == 10
-        assert desk.codes().count("refused") == MAX_UNDER_WAY
+            desk.ask("skip", f"n{number}")
+        for number in range(20):
+            desk.ask("abort", f"a{number}")
+        await desk.heard(MAX_UNDER_WAY + 30)
+        codes = {answer["transaction"]: code for answer, code in zip(desk.answers, desk.codes(), strict=True)}
+        assert list(codes.values()).count("overload") == 10
+        assert {code for transaction, code in codes.items() if transaction[0] == "a"} == {"refused"}, "without a limit"
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import pytest
 from panoexec.adapters.linked_vehicle import LinkedVehicle
 from panoexec.clock import SystemClock
 from panoexec.daemon import examination
+from panoexec.daemon.beginnings import Beginning
 from panoexec.daemon.errors import MissionBusyError
 from panoexec.daemon.examination import Examination
 from panoexec.daemon.missions import Missions
@@ -83,7 +84,7 @@ async def test_a_mission_that_begins_ends_it_and_waits_until_the_devices_are_fre
     await checks.begun.wait()
     with pytest.raises(MissionBusyError, match="is being examined already"):
         await daemon.examination.run(photo=False)
-    async with daemon.missions.claimed():
+    async with daemon.missions.claimed(Beginning("start")):
         assert checks.given_back
         with pytest.raises(MissionBusyError, match="a mission began, which ended the examination"):
             await running

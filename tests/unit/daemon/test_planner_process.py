@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from panoexec.daemon import planner
+from panoexec.daemon import planner, planner_process
+from panoexec.daemon.errors import PlanningBudgetError
 from panoexec.daemon.mission_request import spec_of
 from panoexec.daemon.planner import plan_apart
 from panoexec.daemon.planner_process import outcome_of
@@ -64,11 +65,50 @@ async def test_a_child_that_dies_is_an_error(monkeypatch: pytest.MonkeyPatch) ->
         await plan_apart(a_spec())
 
 
-async def test_planning_that_does_not_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planner, "MOST_S", 0.01)
-    with pytest.raises(PlanningError, match="given up: ask for a smaller band"):
-        await plan_apart(a_spec())
+@pytest.mark.parametrize(
+    ("program", "error", "says"),
+    [
+        ("limit_memory(120)", PlanningBudgetError, "needs more than 300 MB of memory: ask for a smaller band"),
+        ("limit_time(1)", PlanningBudgetError, "more than 300 s of processor time: ask for a smaller band"),
+        ("os.abort()", PlanningBudgetError, "needs more than 300 MB of memory"),
+        ("os.kill(os.getpid(), 9)", PlanningBudgetError, "the computer is out of memory, or"),
+        ("sys.exit(3)", PanoexecError, "planning ended with code 3"),
+    ],
+)
+async def test_a_budget_that_is_exceeded_is_an_error(
+    monkeypatch: pytest.MonkeyPatch, program: str, error: type[PanoexecError], says: str
+) -> None:
+    child = (
+        "import os, pickle, resource, sys; from panoexec.daemon.planner_process import *;"
+        "from panoexec.daemon.planner_process import outcome_of;"
+        f"{program}; spec = pickle.loads(sys.stdin.buffer.read());"
+        "sys.stdout.buffer.write(pickle.dumps(outcome_of(spec)))"
+    )
+    monkeypatch.setattr(planner, "_CHILD", child)
+    long = a_spec(camera={"name": "tele", **SENSOR, "focal_length_mm": 400.0}, elevation_deg=[-90, 90])
+    with pytest.raises(error, match=says):
+        await plan_apart(long)
     assert children() == set()
+
+
+async def test_a_plan_of_too_many_images_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(planner_process, "MOST_IMAGES", 6)
+    outcome = outcome_of(a_spec(method="paper"))
+    assert outcome.kind == "budget"
+    assert "images, the daemon accepts 6: ask for a smaller band" in outcome.text
+
+
+def test_the_process_gives_way_and_is_bounded() -> None:
+    program = (
+        "import os, resource; from pathlib import Path; from panoexec.daemon import planner_process as p;"
+        "p.give_way(); p.limit_time(p.CPU_S); p.limit_memory(p.MEMORY_MB);"
+        "print(os.nice(0), Path('/proc/self/oom_score_adj').read_text().strip(),"
+        " *resource.getrlimit(resource.RLIMIT_CPU), resource.getrlimit(resource.RLIMIT_DATA)[1] < 400e6)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    nice, oom, cpu_s, cpu_most_s, memory = done.stdout.split()
+    assert int(nice) == min(19, os.nice(0) + 5)
+    assert (oom, cpu_s, cpu_most_s, memory) == ("900", "300", "305", "True")
 
 
 def test_other_errors_of_ours_are_told_by_their_text(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ from structlog.testing import capture_logs
 from panoexec.daemon.storage import StorageMonitor, storage_trouble
 from panoexec.inputs.config import StorageSection
 from panoexec.mqtt.transactions import Transactions
+from tests.waiting import eventually
 
 
 @pytest.mark.parametrize(
@@ -37,10 +39,13 @@ def test_a_folder_that_is_not_there_yet_or_is_none(tmp_path: Path) -> None:
 
 async def test_trouble_and_recovery_are_logged_and_the_storage_is_announced_as_readable_once(tmp_path: Path) -> None:
     section = StorageSection(path=tmp_path, min_free_mb=1e12)
-    changes, readable = [], []
+    changes, readable, recovered = [], [], []
 
     async def on_readable() -> None:
         readable.append(monitor.trouble)
+
+    async def on_recovered() -> None:
+        recovered.append(monitor.trouble)
 
     transactions = await Transactions.open(tmp_path / "transactions.sqlite", boot_id="boot")
     monitor = StorageMonitor(
@@ -48,6 +53,7 @@ async def test_trouble_and_recovery_are_logged_and_the_storage_is_announced_as_r
         transactions=transactions,
         changed=lambda: changes.append(monitor.trouble),
         on_readable=on_readable,
+        on_recovered=on_recovered,
     )
     with capture_logs() as logs:
         await monitor.check()
@@ -59,3 +65,34 @@ async def test_trouble_and_recovery_are_logged_and_the_storage_is_announced_as_r
     assert "min_free_mb requires" in logs[0]["trouble"]
     assert changes == [logs[0]["trouble"], ""]
     assert len(readable) == 1, "a full disk can be read all the same"
+    assert recovered == [""]
+
+
+async def test_a_failed_mission_makes_it_check_at_once_and_trouble_more_often(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("panoexec.daemon.storage._PERIOD_IN_TROUBLE_S", 0.01)
+    full, recovered = [True], asyncio.Event()
+
+    async def nothing() -> None: ...
+
+    async def on_recovered() -> None:
+        recovered.set()
+
+    monkeypatch.setattr("panoexec.daemon.storage.storage_trouble", lambda _: "full" if full[0] else "")
+    transactions = await Transactions.open(tmp_path / "transactions.sqlite", boot_id="boot")
+    monitor = StorageMonitor(
+        section=lambda: StorageSection(path=tmp_path),
+        transactions=transactions,
+        changed=lambda: None,
+        on_readable=nothing,
+        on_recovered=on_recovered,
+    )
+    watching = asyncio.create_task(monitor.run(), name="storage")
+    monitor.check_soon()
+    await eventually(lambda: monitor.trouble, 5)
+    full[0] = False
+    await asyncio.wait_for(recovered.wait(), 5)
+    watching.cancel()
+    await asyncio.gather(watching, return_exceptions=True)
+    await transactions.close()

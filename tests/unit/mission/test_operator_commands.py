@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import pytest
@@ -24,7 +25,7 @@ def test_what_a_finished_mission_cannot_do() -> None:
         async with a_world() as world:
             mission = world.mission()
             with pytest.raises(CommandRefusedError, match="the mission is idle"):
-                mission.commands.pause()
+                mission.commands.skip()
             await mission.run()
             for verb in (
                 mission.commands.pause,
@@ -38,6 +39,46 @@ def test_what_a_finished_mission_cannot_do() -> None:
                 await mission.run()
             with pytest.raises(MissionError, match="complete and cannot be resumed"):
                 world.mission(past=world.journal.events)
+
+    run_virtual(main())
+
+
+@pytest.mark.parametrize(
+    ("verbs", "state"),
+    [
+        (["abort"], S.ABORTED),
+        (["finish"], S.INCOMPLETE),
+        (["interrupt"], S.PAUSED),
+        (["finish", "abort"], S.ABORTED),
+        (["abort", "pause", "finish"], S.ABORTED),
+    ],
+)
+def test_a_stop_before_the_mission_runs_is_obeyed_before_anything_moves(verbs: list[str], state: S) -> None:
+    async def main() -> None:
+        async with a_world() as world:
+            mission = world.mission()
+            for verb in verbs:
+                getattr(mission.commands, verb)("early")
+            record = await mission.run()
+            assert record.state is state
+            assert world.camera.photos == []
+            assert not any(event.type in ("gimbal_acquired", "shot_started") for event in world.journal.events)
+            assert isinstance(world.journal.events[0], ev.MissionStarted), "the journal begins as ever"
+
+    run_virtual(main())
+
+
+def test_a_pause_before_the_mission_runs_holds_it_before_the_first_photo() -> None:
+    async def main() -> None:
+        async with a_world() as world, asyncio.TaskGroup() as group:
+            mission = world.mission()
+            mission.commands.pause("wait")
+            flying = group.create_task(mission.run(), name="mission")
+            await until_event(world, ev.MissionPaused)
+            await world.clock.sleep(10.0)
+            assert world.camera.photos == []
+            mission.commands.resume()
+            assert (await flying).state is S.COMPLETE
 
     run_virtual(main())
 

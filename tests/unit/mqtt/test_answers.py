@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from panoexec.inputs.camera_profiles import load_profile
 from panoexec.inputs.plan_file import camera_to_data, certificate_to_data, estimate_to_data, plan_to_data
 from panoexec.mqtt.answers import ANSWERS, CameraFields, PlanFields, planned
-from panoexec.mqtt.requests import REQUESTS
+from panoexec.mqtt.requests import REQUESTS, STOPPING
 from panoexec.planning.make_plan import make_plan
 from panoexec.planning.model import Band, Certificate, Constraints, Hole, Plan, Timing, Tolerance
 from tests.schemas import misfits, named, problems
@@ -89,7 +89,8 @@ def test_only_a_calibrated_camera_says_so() -> None:
 @pytest.mark.parametrize("command", ["pause", "finish", "resume", "abort", "skip", "repeat"])
 def test_answers_of_a_mission_under_way(command: str) -> None:
     shot = {"shot": 3} if command in {"skip", "repeat"} else {}
-    data = shot | {"mission_id": "m", "state": "capturing"}
+    durable = {"durable": True} if command in STOPPING else {}
+    data = shot | {"mission_id": "m", "state": "capturing"} | durable
     answer = {"transaction": "t", "status": "ok", "error": None, "data": data}
     assert misfits(f"response_{command}", answer) == []
     ANSWERS[command].model_validate(data)

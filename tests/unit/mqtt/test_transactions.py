@@ -5,7 +5,10 @@ from __future__ import annotations
 import errno
 import json
 import sqlite3
+import threading
+import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -148,6 +151,99 @@ async def test_a_storage_that_never_was_well_can_be_closed(tmp_path: Path, monke
     monkeypatch.setattr(Path, "mkdir", read_only)
     store = await Transactions.open(tmp_path / "t.sqlite", boot_id="b", patient=True)
     assert "Read-only file system" in await store.opened()
+    await store.close()
+
+
+async def a_stop(store: Transactions, transaction: str = '"s"', more: str = "") -> list[dict[str, Any]]:
+    """The answers to a stop that says which shot it was at."""
+    request, answers = a_request(transaction, "abort", more), []
+
+    async def executed() -> Response:
+        acted.append(transaction)
+        return ok(request.transaction, {"shot": len(acted)})
+
+    if store.enter_stop(request, lambda payload: answers.append(json.loads(payload))):
+        await store.serve_stop(request, executed())
+    return answers
+
+
+acted: list[str] = []
+
+
+async def test_a_stop_acts_once_across_restarts_and_is_looked_up_without_the_disk(tmp_path: Path) -> None:
+    acted.clear()
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="first")
+    first = await a_stop(store)
+    assert [answer["data"] for answer in first] == [{"shot": 1}]
+    assert await a_stop(store) == first
+    await store.close()
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="second")
+    assert await a_stop(store) == first, "across restarts"
+    assert acted == ['"s"']
+    with pytest.raises(RefusedRequestError, match="used already"):
+        await a_stop(store, more=', "reason": "x"')
+    await store.note(a_request('"p"', "skip"))
+    with pytest.raises(RefusedRequestError, match=r"used already for another request \(skip\)"):
+        await a_stop(store, '"p"')
+    await store.close()
+
+
+async def test_a_stop_that_cannot_be_written_acts_once_and_is_written_when_the_disk_is_well(tmp_path: Path) -> None:
+    acted.clear()
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="first")
+    store._database().execute("PRAGMA query_only = ON")
+    first = await a_stop(store)
+    assert [answer["status"] for answer in first] == ["ok"]
+    assert await a_stop(store) == first
+    assert acted == ['"s"']
+    store.remember_later("declined", "m1")
+    assert await store.recall("declined") == "m1"
+    assert not await store.write_back()
+    with pytest.raises(RefusedRequestError, match="used already") as refused:
+        await store.note(a_request('"s"', "skip"))
+    assert refused.value.code == "conflict"
+    store._database().execute("PRAGMA query_only = OFF")
+    assert await store.write_back()
+    await store.close()
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="second")
+    assert await a_stop(store) == first
+    assert await store.recall("declined") == "m1"
+    assert acted == ['"s"']
+    await store.close()
+
+
+async def test_a_stop_does_not_wait_for_a_disk_that_hangs(tmp_path: Path) -> None:
+    acted.clear()
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="first")
+    hangs = threading.Event()
+    store._pool.submit(hangs.wait)
+    began = time.monotonic()
+    assert [answer["status"] for answer in await a_stop(store)] == ["ok"]
+    assert time.monotonic() - began < 1.0
+    hangs.set()
+    assert await store.write_back()
+    assert (await store.note(a_request('"s"', "abort"))).status == "answered"
+    await store.close()
+
+
+async def test_an_answer_that_could_not_be_stored_is_given_again_and_stored_later(tmp_path: Path) -> None:
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="first")
+    answers: list[bytes] = []
+
+    async def obey() -> Response:
+        store._database().execute("PRAGMA query_only = ON")
+        return ok("a", {"shot": 7})
+
+    for _ in range(2):
+        assert store.enter(a_request(command="skip"), answers.append)
+        await store.serve(a_request(command="skip"), obey)
+    assert answers[0] == answers[1]
+    assert json.loads(answers[0])["data"] == {"shot": 7}
+    store._database().execute("PRAGMA query_only = OFF")
+    assert await store.write_back()
+    await store.close()
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="second")
+    assert (await store.note(a_request(command="skip"))).response.encode() == answers[0]
     await store.close()
 
 
