@@ -68,6 +68,7 @@ class Commands:
         group: asyncio.TaskGroup,
         respond: Callable[[Incoming, bytes], None],
         refresh: Callable[[], dict[str, Any]],
+        check: Callable[[Request], None] = lambda _: None,
     ) -> None:
         """Store the collaborators.
 
@@ -79,6 +80,7 @@ class Commands:
             group: task group in which requests run.
             respond: publishes a response.
             refresh: publishes state and plan again and returns the state.
+            check: raises what forbids a request at present.
         """
         self.camera: str | dict[str, Any] | None = None
         self._config = config
@@ -88,6 +90,7 @@ class Commands:
         self._group = group
         self._respond = respond
         self._refresh = refresh
+        self._check = check
         self._plans: OrderedDict[str, Plan] = OrderedDict()
         self._planning = asyncio.Lock()
         self._starting: asyncio.Task[Plan] | None = None
@@ -116,6 +119,7 @@ class Commands:
         """Execute the request unless it has expired; every failure becomes a response."""
         try:
             _check_fresh(incoming)
+            self._check(request)
             return ok(request.transaction, await self._execute(request))
         except Exception as error:  # noqa: BLE001  (the edge of the service: no request may end the daemon)
             refused = refusal_of(error)

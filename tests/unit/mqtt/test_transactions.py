@@ -12,7 +12,6 @@ import pytest
 from panoexec.errors import UsageError
 from panoexec.mqtt import transaction_file
 from panoexec.mqtt.messages import Response, ok
-from panoexec.mqtt.outbox import Outbox, Outgoing, Suspicion
 from panoexec.mqtt.requests import RefusedRequestError, Request, parse_request
 from panoexec.mqtt.transaction_file import StorageDownError
 from panoexec.mqtt.transactions import Transactions
@@ -152,77 +151,3 @@ async def test_a_storage_that_never_was_well_can_be_closed(tmp_path: Path, monke
     store = await Transactions.open(tmp_path / "t.sqlite", boot_id="b", patient=True)
     assert "Read-only file system" in await store.opened()
     await store.close()
-
-
-def message(topic: str, payload: bytes = b"x", *, retain: bool = False) -> Outgoing:
-    return Outgoing(topic=topic, payload=payload, retain=retain)
-
-
-async def test_the_outbox_keeps_order_and_only_the_newest_retained() -> None:
-    box = Outbox()
-    first, second = message("event", b"1"), message("event", b"2")
-    box.put(first)
-    box.put(message("state", b"old", retain=True))
-    box.put(message("state", b"new", retain=True))
-    box.put(second)
-    batch = box.take(10)
-    assert [one.payload for one in batch] == [b"new", b"1", b"2"]
-    for one in batch:
-        box.done(one)
-    assert len(box) == 0
-    assert not box.filled.is_set()
-    box.renew()
-    assert [one.payload for one in box.take(10)] == [b"new"], "a new connection gets the state again"
-
-
-async def test_a_state_that_changed_while_the_old_one_was_sent_goes_out_too() -> None:
-    box = Outbox()
-    box.put(message("state", b"old", retain=True))
-    sent = box.take(1)[0]
-    box.put(message("state", b"new", retain=True))
-    box.done(sent)
-    assert [one.payload for one in box.take(1)] == [b"new"]
-
-
-async def test_the_outbox_is_bounded_by_number_and_bytes() -> None:
-    box = Outbox(limit=3, limit_bytes=10)
-    for number in range(5):
-        box.put(message("event", str(number).encode()))
-    assert [one.payload for one in box.take(10)] == [b"2", b"3", b"4"]
-    box.put(message("event", b"12345678"))
-    assert [one.payload for one in box.take(10)] == [b"3", b"4", b"12345678"]
-    assert box.dropped == 3
-
-
-def test_the_message_at_which_the_connection_ends_again_and_again_is_found() -> None:
-    good, bad = message("event", b"good"), message("event", b"bad")
-    suspicion = Suspicion()
-    assert not suspicion.ended(good, alone=False)
-    assert suspicion.wary, "one by one from now on"
-    assert not suspicion.ended(good, alone=True)
-    suspicion.acknowledged([good], left=1)
-    assert [suspicion.ended(bad, alone=True) for _ in range(3)] == [False, False, True]
-    suspicion.acknowledged([good], left=0)
-    assert not suspicion.wary
-
-
-def test_links_that_are_lost_now_and_then_condemn_nothing() -> None:
-    suspicion, event = Suspicion(), message("event")
-    for _ in range(10):
-        assert not suspicion.ended(event, alone=True)
-        assert not suspicion.ended(event, alone=True)
-        suspicion.acknowledged([event], left=0)
-
-
-async def test_what_is_given_up_goes_out_no_more() -> None:
-    box = Outbox()
-    event, state = message("event"), message("state", retain=True)
-    box.put(event)
-    box.put(state)
-    box.give_up(event)
-    assert box.take(9) == [state]
-    box.give_up(state)
-    box.renew()
-    assert box.take(9) == []
-    assert not box.filled.is_set()
-    assert box.dropped == 2
