@@ -28,13 +28,11 @@ import structlog
 from panoexec.errors import UsageError
 from panoexec.mqtt.messages import Response, dump, failed
 from panoexec.mqtt.requests import RefusedRequestError, Request
+from panoexec.mqtt.retention import Retention
 from panoexec.mqtt.transaction_file import StorageDownError, open_transaction_file
 
 T = TypeVar("T")
 TransactionStatus: TypeAlias = Literal["new", "under way", "interrupted", "answered"]
-
-KEPT: Final = 10_000
-"""Answers that are kept on disk; older ones are forgotten."""
 
 KEPT_IN_MEMORY: Final = 200
 """Answers to requests that only read."""
@@ -79,6 +77,7 @@ class Transactions:
         self._boot_id = boot_id
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="transactions")
         self._connection: sqlite3.Connection | None = None
+        self._retention = Retention()
         self._under_way: dict[str, _UnderWay] = {}
         self._read: OrderedDict[str, tuple[str, bytes]] = OrderedDict()
 
@@ -131,7 +130,9 @@ class Transactions:
 
     def _database(self) -> sqlite3.Connection:
         if self._connection is None:
-            self._connection = open_transaction_file(self.path)
+            connection = open_transaction_file(self.path)
+            self._retention.load(connection)
+            self._connection = connection
         return self._connection
 
     # --- at most once
@@ -226,9 +227,8 @@ class Transactions:
         def write() -> None:
             with self._database() as database:
                 database.execute("UPDATE transactions SET response = ? WHERE id = ?", (response, key))
-                database.execute(
-                    "DELETE FROM transactions WHERE number <= (SELECT MAX(number) FROM transactions) - ?", (KEPT,)
-                )
+                for forgotten in self._retention.answered(key, request.command, response):
+                    database.execute("DELETE FROM transactions WHERE id = ?", (forgotten,))
 
         await self._run(write)
 

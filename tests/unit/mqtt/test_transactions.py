@@ -5,9 +5,12 @@ from __future__ import annotations
 import errno
 import json
 import sqlite3
+import tempfile
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from panoexec.errors import UsageError
 from panoexec.mqtt import transaction_file
@@ -84,14 +87,68 @@ async def test_a_request_that_only_reads_is_not_kept_on_disk(tmp_path: Path) -> 
     assert [json.loads(answer)["data"]["boot"] for answer in answers] == ["first", "first", "second", "second"]
 
 
+OK, NO = '{"status": "ok"}', '{"status": "error"}'
+
+
 async def test_forgets_the_oldest_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("panoexec.mqtt.transactions.KEPT", 3)
+    monkeypatch.setattr("panoexec.mqtt.retention.KEPT", 3)
     store = await Transactions.open(tmp_path / "t.sqlite", boot_id="b")
     for number in range(5):
         await store.note(a_request(number))
-        await store.answered(a_request(number), str(number))
+        await store.answered(a_request(number), OK)
     statuses = [(await store.note(a_request(number))).status for number in range(5)]
     assert statuses == ["new", "new", "answered", "answered", "answered"]
+    await store.close()
+
+
+CHEAP = ["pause", "resume", "finish", "skip", "repeat", "abort"]
+
+
+@settings(max_examples=10)
+@given(st.lists(st.tuples(st.sampled_from(CHEAP), st.sampled_from([OK, NO])), max_size=40), st.integers(0, 40))
+async def test_no_number_of_other_requests_lets_an_old_start_act_again(
+    others: list[tuple[str, str]], restart_after: int
+) -> None:
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setattr("panoexec.mqtt.retention.KEPT", 3)
+        store = await Transactions.open(Path(folder) / "t.sqlite", boot_id="b")
+        start, interrupted = a_request('"s"', "start"), a_request('"i"', "start")
+        assert (await store.note(start)).status == "new"
+        await store.answered(start, OK)
+        refused = a_request('"r"', "start")
+        assert (await store.note(refused)).status == "new"
+        await store.answered(refused, NO)
+        assert (await store.note(interrupted)).status == "new"
+        for number, (command, response) in enumerate(others):
+            if number == restart_after:
+                await store.close()
+                store = await Transactions.open(Path(folder) / "t.sqlite", boot_id="c")
+            one = a_request(number, command)
+            await store.note(one)
+            await store.answered(one, response)
+        assert (await store.note(start)).status == "answered"
+        assert (await store.note(refused)).status == "answered"
+        assert (await store.note(interrupted)).status in ("under way", "interrupted")
+        kept = store._connection.execute("SELECT COUNT(*) FROM transactions").fetchone()[0] if store._connection else 0
+        assert kept <= 3 + 3 * 2 * len(CHEAP), "and the store is bounded"
+        await store.close()
+
+
+async def test_a_flood_of_get_requests_reaches_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("panoexec.mqtt.retention.KEPT", 3)
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="b")
+
+    async def obey() -> Response:
+        return ok("a", {})
+
+    start = a_request('"s"', "start")
+    await store.note(start)
+    await store.answered(start, OK)
+    for number in range(300):
+        request = a_request(number, "get")
+        store.enter(request, lambda _: None)
+        await store.serve(request, obey)
+    assert (await store.note(start)).status == "answered"
     await store.close()
 
 
