@@ -28,6 +28,7 @@ REPEAT_S: Final = 15.0
 
 BATCH: Final = 16
 _HELD_S: Final = 0.1
+_ANSWER_S: Final = 0.15
 _AT_ONCE_S: Final = 3.0
 
 _log = structlog.get_logger(__name__)
@@ -111,6 +112,7 @@ class Sender:
         Raises:
             aiomqtt.MqttError: the connection is lost.
         """
+        idle = False
         while True:
             pulse()
             # yield, so that an event and the state that it changes are sent in one batch
@@ -119,14 +121,23 @@ class Sender:
                 self.announce(online)
             self.outbox.filled.clear()
             batch = self.next_batch(client)
-            if batch:
+            if batch and idle and self._may_be_overtaken(batch):
+                idle = False
+                await asyncio.sleep(_ANSWER_S)
+            elif batch:
+                idle = False
                 await self._send_batch(client, batch)
             elif stop.is_set():
                 return
             else:
+                idle = True
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(_HELD_S if len(self.outbox) else PULSE_S):
                         await self.outbox.filled.wait()
+
+    def _may_be_overtaken(self, batch: list[Outgoing]) -> bool:
+        """Whether an answer that follows at once, as after the first event of a `start`, should go first."""
+        return math.isfinite(self.pace.rate) and not any(message.answer for message in batch)
 
     def next_batch(self, client: BrokerClient) -> list[Outgoing]:
         """The next messages that the broker accepts; those above its maximum packet size are dropped."""

@@ -22,6 +22,7 @@ class BrokerProxy:
 
     Attributes:
         port: where it listens.
+        target: port of the broker for the next connection.
         rate: bytes per second in each direction; 0 for as fast as possible.
         edit: changes a packet of the broker, from its first byte, and its content after the length.
         closes_at: whether to close the connection at a packet of a client, from the same.
@@ -31,6 +32,7 @@ class BrokerProxy:
     """
 
     port: int = 0
+    target: int = 0
     rate: float = 0.0
     edit: Callable[[int, bytes], bytes] = lambda _first, content: content
     closes_at: Callable[[int, bytes], bool] = lambda _first, _content: False
@@ -43,7 +45,7 @@ class BrokerProxy:
 @asynccontextmanager
 async def broker_proxy(broker_port: int, **settings: object) -> AsyncIterator[BrokerProxy]:
     """A proxy while the block runs."""
-    proxy = BrokerProxy(**settings)  # type: ignore[arg-type]  # a test's keywords
+    proxy = BrokerProxy(target=broker_port, **settings)  # type: ignore[arg-type]  # a test's keywords
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         proxy.connections += 1
@@ -51,7 +53,7 @@ async def broker_proxy(broker_port: int, **settings: object) -> AsyncIterator[Br
         assert task is not None
         proxy._tasks.add(task)
         with contextlib.suppress(OSError, asyncio.IncompleteReadError, asyncio.CancelledError):
-            await _carry(proxy, broker_port, reader, writer)
+            await _carry(proxy, reader, writer)
         await _closed(writer)
         proxy._tasks.discard(task)
 
@@ -69,10 +71,8 @@ async def broker_proxy(broker_port: int, **settings: object) -> AsyncIterator[Br
             await asyncio.sleep(0)
 
 
-async def _carry(
-    proxy: BrokerProxy, broker_port: int, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
-) -> None:
-    from_broker, to_broker = await asyncio.open_connection("127.0.0.1", broker_port)
+async def _carry(proxy: BrokerProxy, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    from_broker, to_broker = await asyncio.open_connection("127.0.0.1", proxy.target)
     up = asyncio.create_task(_up(proxy, reader, to_broker, writer), name="proxy up")
     down = asyncio.create_task(_down(proxy, from_broker, writer), name="proxy down")
     try:
