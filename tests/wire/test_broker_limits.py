@@ -56,11 +56,12 @@ def told(logs: list[Any], event: str) -> str:
 
 
 @asynccontextmanager
-async def plain_ground(port: int) -> AsyncIterator[Ground]:
-    """A ground station on any broker, with QoS 0."""
+async def plain_ground(port: int, *topics: str) -> AsyncIterator[Ground]:
+    """A ground station on any broker, with QoS 0, that subscribes to everything or to these topics."""
     async with aiomqtt.Client("127.0.0.1", port, protocol=aiomqtt.ProtocolVersion.V311) as client:
         ground = Ground(client)
-        await client.subscribe("panoexec/#", qos=0)
+        for topic in topics or ("panoexec/#",):
+            await client.subscribe(topic, qos=0)
 
         task = asyncio.create_task(ground.listen(), name="ground station")
         try:

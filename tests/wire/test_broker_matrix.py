@@ -31,6 +31,8 @@ pytestmark = pytest.mark.skipif(
 )
 Protocol = Literal["5", "3.1.1"]
 EVENTS = 100
+TOPICS = [f"panoexec/drone/{name}" for name in ("status", "state", "plan", "event", "response/get")]
+"""RabbitMQ delivers retained messages to subscriptions without wildcards only."""
 
 
 @contextmanager
@@ -66,7 +68,7 @@ async def test_requests_answers_events_and_retained_messages(tmp_path: Path, nam
             link.publish(link.topics.state, b'{"seq": 1}', retain=True)
             link.publish(link.topics.plan, b"p" * 20_000, retain=True)
             await eventually(lambda: len(link.outbox) == 0)
-            async with plain_ground(port) as ground:
+            async with plain_ground(port, *TOPICS) as ground:
                 await eventually(lambda: ground.payloads(link.topics.plan) == [b"p" * 20_000])
                 assert ground.payloads(link.topics.status) == [b"online"]
                 assert ground.payloads(link.topics.state) == [b'{"seq": 1}']
@@ -80,7 +82,7 @@ async def test_requests_answers_events_and_retained_messages(tmp_path: Path, nam
                 await eventually(lambda: ground.payloads("panoexec/drone/response/get") == [b"answer"])
             findings = await doctors_findings(port, protocol=protocol)
             assert link.connected
-        async with plain_ground(port) as ground:
+        async with plain_ground(port, *TOPICS) as ground:
             await eventually(lambda: ground.payloads(link.topics.status) == [b"offline"])
     assert [one for one in findings if one.verdict == "missing"] == []
 
