@@ -312,6 +312,28 @@ async def test_where_a_daemon_could_not_see_another_one_it_keeps_its_client_id(
             assert link._identifier == name
 
 
+async def test_the_doctor_asks_for_each_right_and_publishes_nothing_on_the_daemons_topics(tmp_path: Path) -> None:
+    rights = tmp_path / "acl"
+    names = ("status", "plan", "event", "response/#")
+    lines = ["topic read panoexec/#", *(f"topic write panoexec/drone/{name}" for name in names)]
+    rights.write_text("\n".join(lines) + "\n")
+    with running_broker(tmp_path, settings=f"allow_anonymous true\nacl_file {rights}") as broker:
+        async with ground_station(broker) as ground, running(a_link(broker.port, [])) as link:
+            await eventually(lambda: ground.payloads("panoexec/drone/status") == [b"online"])
+            verdicts = {one.check: one.verdict for one in await doctors_findings(broker.port)}
+            link.publish(link.topics.event, b"afterwards")
+            await eventually(lambda: ground.payloads(link.topics.event))
+            assert link._connections == 1
+        heard = {topic for topic, _, _ in ground.seen}
+        async with ground_station(broker) as late:
+            await eventually(lambda: late.payloads("panoexec/drone/status"))
+            assert [topic for topic, _, _ in late.seen] == ["panoexec/drone/status"], "the doctor leaves nothing behind"
+    assert (verdicts["state"], verdicts["status"], verdicts["event"]) == ("missing", "ok", "ok")
+    assert heard == {"panoexec/drone/status", "panoexec/drone/event", "panoexec/drone/response/doctor"}
+    assert ground.payloads(link.topics.event) == [b"afterwards"]
+    assert ground.payloads("panoexec/drone/status") == [b"online", b"offline"]
+
+
 @pytest.mark.parametrize("payload", [b"", b"no json", b"[]", b'{"boot_id": 7}', a_state("mine")])
 def test_what_is_no_foreign_state_is_no_other_daemon(payload: bytes) -> None:
     twins = TwinWatch("mine")
