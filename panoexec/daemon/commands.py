@@ -72,6 +72,7 @@ class Commands:
         respond: Callable[[Incoming, bytes], None],
         refresh: Callable[[], dict[str, Any]],
         examine: Examine,
+        check: Callable[[Request], None] = lambda _: None,
     ) -> None:
         """Store the collaborators.
 
@@ -84,6 +85,7 @@ class Commands:
             respond: publishes a response.
             refresh: publishes state and plan again and returns the state.
             examine: examines the daemon and returns the findings.
+            check: raises what forbids a request at present.
         """
         self.camera: str | dict[str, Any] | None = None
         self._config = config
@@ -94,6 +96,7 @@ class Commands:
         self._respond = respond
         self._refresh = refresh
         self._examine = examine
+        self._check = check
         self._plans = PlanningDesk()
         self._forgot = False
         self.stopping = Stopping(missions=missions, transactions=transactions, group=group, respond=respond)
@@ -149,6 +152,7 @@ class Commands:
         """Execute the request unless it has expired; every failure becomes a response."""
         try:
             incoming.check_fresh()
+            self._check(request)
             return ok(request.transaction, await self._execute(request, incoming, beginning))
         except Exception as error:  # noqa: BLE001  (the edge of the service: no request may end the daemon)
             refused = refusal_of(error)

@@ -20,17 +20,19 @@ from panoexec.daemon.examination import Examination
 from panoexec.daemon.live_config import LiveConfig, Reloader
 from panoexec.daemon.missions import Missions
 from panoexec.daemon.sdnotify import SystemdNotifier
-from panoexec.daemon.state_publisher import StatePublisher
+from panoexec.daemon.state_publisher import TWIN, StatePublisher
 from panoexec.daemon.storage import StorageMonitor
 from panoexec.daemon.vehicle_link import VehicleLink
 from panoexec.daemon.watchdog import Watchdog
 from panoexec.inputs.config import Config
 from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.link import MqttLink
+from panoexec.mqtt.requests import RefusedRequestError, Request
 from panoexec.mqtt.transactions import Transactions
 
 _STOP_S: Final = 60.0
 _FLUSH_S: Final = 5.0
+_MOVING: Final = frozenset({"start", "resume"})
 
 _log = structlog.get_logger(__name__)
 
@@ -82,7 +84,11 @@ class Daemon:
         self.mqtt: MqttLink | None = None
         if config.mqtt.host is not None:
             self.mqtt = MqttLink(
-                config.mqtt, vehicle=config.vehicle.id, on_request=self._take, on_connected=self._changed.set
+                config.mqtt,
+                vehicle=config.vehicle.id,
+                on_request=self._take,
+                on_connected=self._changed.set,
+                boot_id=self._boot_id,
             )
         self.vehicle = vehicle or VehicleLink(config, clock=clock, changed=self._changed.set)
         events = EventPublisher(mqtt=self.mqtt, changed=self._changed.set)
@@ -144,6 +150,7 @@ class Daemon:
             respond=self._respond,
             refresh=self._refresh,
             examine=self._examination.run,
+            check=self._check_alone,
         )
         resume = AutoResume(
             config=self._config, missions=self.missions, vehicle=self.vehicle, commands=self._commands, group=group
@@ -193,6 +200,11 @@ class Daemon:
     def _take(self, incoming: Incoming) -> None:
         if self._commands is not None and not self._stopping.is_set():
             self._commands.take(incoming)
+
+    def _check_alone(self, request: Request) -> None:
+        """Refuse to begin a mission while another daemon gets the same requests, and would begin one too."""
+        if request.command in _MOVING and self.mqtt is not None and self.mqtt.twin:
+            raise RefusedRequestError("refused", TWIN)
 
     def _respond(self, incoming: Incoming, payload: bytes) -> None:
         if self.mqtt is not None:

@@ -21,6 +21,8 @@ from panoexec.planning.model import Plan
 
 FLYING: Final = frozenset({MissionState.PREFLIGHT, MissionState.CAPTURING, MissionState.PAUSED, MissionState.FINISHING})
 
+TWIN: Final = "another daemon publishes as this vehicle: give each a vehicle id of its own, or stop one"
+
 _PERIOD_S: Final = 1.0
 _IDLE_PERIOD_S: Final = 15.0
 _PULSE_S: Final = 5.0
@@ -110,7 +112,9 @@ class StatePublisher:
         self._mqtt.publish(self._mqtt.topics.plan, payload, retain=True)
 
     def publish_all(self) -> State:
-        """Publish plan and state again, and return the state."""
+        """Publish plan and state again, and the status if the broker keeps none, and return the state."""
+        if self._mqtt is not None:
+            self._mqtt.announce()
         self.publish_plan(again=True)
         return self.publish_state()
 
@@ -124,7 +128,8 @@ class StatePublisher:
     @property
     def _not_ready_reason(self) -> str:
         """Why no mission could begin; "" if one could."""
-        return "; ".join(part for part in (self._vehicle.lacking, self._storage_trouble()) if part)
+        twin = TWIN if self._mqtt is not None and self._mqtt.twin else ""
+        return "; ".join(part for part in (self._vehicle.lacking, self._storage_trouble(), twin) if part)
 
     def _state(self) -> State:
         self._seq += 1

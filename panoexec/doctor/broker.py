@@ -10,9 +10,11 @@ from panoexec.errors import PanoexecError
 from panoexec.inputs.config import Config
 from panoexec.mqtt.certificates import certificate_validity
 from panoexec.mqtt.credentials import credential_problems
-from panoexec.mqtt.probe import probe_broker
+from panoexec.mqtt.probe import BrokerReport, probe_broker
 
 _SOON: Final = timedelta(days=30)
+_SMALL_PACKET: Final = 64 * 1024
+"""A plan of some 500 shots."""
 _LOCAL: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
@@ -52,7 +54,21 @@ async def check_broker(config: Config, findings: Findings) -> None:
         f"{section.host}:{section.port}, MQTT {section.protocol}, {1000 * report.connect_s:.0f} ms to connect, "
         f"{1000 * report.round_trip_s:.1f} ms round trip",
     )
-    base = f"{section.prefix}/{config.vehicle.id}"
+    for text in report.limitations:
+        findings.warning("broker", "limitations", text, needed="retained messages and QoS 1")
+    most = report.largest_packet
+    if most is not None and most < _SMALL_PACKET:
+        findings.warning(
+            "broker",
+            "packet size",
+            f"at most {most} bytes",
+            needed="room for a plan; a larger plan or state is not published",
+            advice="mosquitto: max_packet_size",
+        )
+    _judge_rights(findings, report, base=f"{section.prefix}/{config.vehicle.id}")
+
+
+def _judge_rights(findings: Findings, report: BrokerReport, *, base: str) -> None:
     acl = "the broker's ACL: config/mosquitto.acl; the user name must be the vehicle's id"
     findings.judge(
         "broker",
@@ -61,11 +77,22 @@ async def check_broker(config: Config, findings: Findings) -> None:
         f"subscribing to {base}/request/#: {_allowed(report.may_read)}",
         advice=acl,
     )
-    if report.may_write is None:
-        findings.note("broker", "answers", "MQTT 3.1.1 does not report whether publishing is permitted")
-    else:
-        text = f"publishing to {base}/response/…: {_allowed(report.may_write)}"
-        findings.judge("broker", "answers", report.may_write, text, advice=acl)
+    unknown = [name for name, may in report.may_write.items() if may is None]
+    if unknown:
+        text = f"the broker does not tell whether publishing is permitted below {base}: {', '.join(unknown)}"
+        findings.note("broker", "answers" if "response" in unknown else "publishing", text)
+    for name, may in report.may_write.items():
+        if may is not None:
+            topic = f"{base}/{name}/…" if name == "response" else f"{base}/{name}"
+            check = "answers" if name == "response" else name
+            findings.judge("broker", check, may, f"publishing to {topic}: {_allowed(may)}", advice=acl)
+    if not report.sees_twin:
+        findings.note(
+            "broker",
+            "own state",
+            f"subscribing to {base}/state: refused; another daemon with this vehicle's id would not be noticed",
+            advice=acl,
+        )
 
 
 def _allowed(value: bool) -> str:

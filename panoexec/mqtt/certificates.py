@@ -57,6 +57,27 @@ _MEANINGS: Final[tuple[tuple[str, str], ...]] = (
 )
 
 
+_CHECK_TLS: Final = "if its port needs TLS, set ca_file; otherwise its log tells more"
+_REFUSALS: Final[tuple[tuple[str, str, str], ...]] = (
+    (
+        "unsupported protocol version",
+        'the broker does not speak MQTT 5: set [mqtt] protocol = "3.1.1"',
+        'the broker does not speak MQTT 3.1.1: set [mqtt] protocol = "5"',
+    ),
+    (
+        "closed the connection at connect",
+        f'if the broker does not speak MQTT 5, set [mqtt] protocol = "3.1.1"; {_CHECK_TLS}',
+        _CHECK_TLS,
+    ),
+    (
+        "client identifier not valid",
+        "the broker rejects the client id",
+        "the broker rejects the client id, or keepalive_s = {keepalive}: try a smaller one",
+    ),
+)
+"""Parts of errors, and what they mean with MQTT 5 and with MQTT 3.1.1."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Validity:
     """The validity period of a certificate."""
@@ -107,6 +128,10 @@ def explained(text: str, settings: MqttSection) -> str:
             where = {"host": settings.host, "port": settings.port, "ca": settings.ca_file, "cert": settings.cert_file}
             where["clock"] = _shown(datetime.now(UTC))
             return f"{meaning.format(**where)} ({text})"
+    five = settings.protocol == "5"
+    for part, for_five, for_older in _REFUSALS:
+        if part in low:
+            return f"{text}: {(for_five if five else for_older).format(keepalive=settings.keepalive_s)}"
     return text
 
 

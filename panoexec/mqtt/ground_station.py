@@ -19,7 +19,7 @@ from paho.mqtt.properties import Properties
 from panoexec.errors import LinkError
 from panoexec.inputs.config import MqttSection
 from panoexec.mqtt.certificates import explained
-from panoexec.mqtt.client import broker_client
+from panoexec.mqtt.client import BrokerClient, broker_client
 
 Kind: TypeAlias = Literal["status", "state", "plan", "event"]
 
@@ -43,7 +43,7 @@ class GroundStation:
         self._settings = settings
         self._five = settings.protocol == "5"
         self._stack = AsyncExitStack()
-        self._client: aiomqtt.Client | None = None
+        self._client: BrokerClient | None = None
 
     async def __aenter__(self) -> Self:
         """Connect.
@@ -89,16 +89,10 @@ class GroundStation:
         assert self._client is not None
         base = f"{self._settings.prefix}/{vehicle}"
         fields = {"transaction": uuid.uuid4().hex} | fields
-        properties = None
-        if self._five:
-            properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
-            properties.MessageExpiryInterval = expiry_s or max(1, math.ceil(timeout_s))
-            properties.ContentType = "application/json"
         try:
             async with asyncio.timeout(timeout_s):
                 await self._client.subscribe(f"{base}/response/{command}", qos=1)
-                payload = json.dumps(fields).encode()
-                await self._client.publish(f"{base}/request/{command}", payload, qos=1, properties=properties)
+                await self._publish(f"{base}/request/{command}", fields, expiry_s or max(1, math.ceil(timeout_s)))
                 async for message in self._client.messages:
                     answer = _json(message.payload)
                     if isinstance(answer, dict) and answer.get("transaction") == fields["transaction"]:
@@ -110,6 +104,16 @@ class GroundStation:
         except aiomqtt.MqttError as error:
             raise LinkError(f"connection to the broker lost: {error}") from error
         raise AssertionError("the messages never end")
+
+    async def _publish(self, topic: str, fields: dict[str, Any], expiry_s: int = 10) -> None:
+        assert self._client is not None
+        properties = None
+        if self._five:
+            properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+            properties.MessageExpiryInterval = expiry_s
+            properties.ContentType = "application/json"
+        qos = min(1, self._client.limits.max_qos)
+        await self._client.publish(topic, json.dumps(fields).encode(), qos=qos, properties=properties)
 
     async def listen(self, vehicle: str | None) -> AsyncGenerator[Heard, None]:
         """Receive the messages of vehicles, retained messages first.
@@ -128,6 +132,9 @@ class GroundStation:
         try:
             for name in _KINDS:
                 await self._client.subscribe(f"{prefix}/{vehicle or '+'}/{name}", qos=1)
+            if vehicle is not None and not self._client.limits.retain:
+                # this broker keeps nothing: ask for what it would have kept; who may not write requests waits
+                await self._publish(f"{prefix}/{vehicle}/request/get", {"transaction": uuid.uuid4().hex})
             async for message in self._client.messages:
                 who, _, name = str(message.topic).removeprefix(f"{prefix}/").rpartition("/")
                 kind = _KINDS.get(name)

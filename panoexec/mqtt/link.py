@@ -8,25 +8,28 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import math
 import random
 import time
-from collections.abc import AsyncIterator, Callable
-from typing import Final
+from collections.abc import AsyncIterator, Callable, Coroutine
+from typing import Any, Final, NoReturn
 
 import aiomqtt
 import structlog
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
-from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from panoexec.errors import PanoexecError
 from panoexec.inputs.config import MqttSection
 from panoexec.mqtt.certificates import explained
 from panoexec.mqtt.client import CONNECT_S, BrokerClient, broker_client
+from panoexec.mqtt.client_id import another_client_id, client_id
+from panoexec.mqtt.dialer import TAKEN_OVER, Dialer, Terms
 from panoexec.mqtt.incoming import Inbox, Incoming, incoming_of
-from panoexec.mqtt.outbox import Outbox, Outgoing, Suspicion
+from panoexec.mqtt.outbox import Outgoing
+from panoexec.mqtt.sender import BATCH, PULSE_S, Sender, with_reason
+from panoexec.mqtt.subscribing import subscribe_requests, subscribe_state
 from panoexec.mqtt.topics import Topics, is_topic_part
+from panoexec.mqtt.twin import TwinWatch
 
 ONLINE: Final = b"online"
 OFFLINE: Final = b"offline"
@@ -34,19 +37,13 @@ OFFLINE: Final = b"offline"
 BACKOFF_S: Final = 1.0
 BACKOFF_MOST_S: Final = 30.0
 _STEADY_S: Final = 10.0
-_PULSE_S: Final = 2.0
 _FAREWELL_S: Final = 1.0
 _SESSION_EXPIRY_S: Final = 30
 _INCOMING: Final = 500
 _LARGEST_PACKET: Final = 16 * 2**20
-_BATCH: Final = 16
 _SUSPICIOUS: Final = 2
-_REFUSED: Final = 128
-_TAKEN_OVER: Final = 142
-_AT_ONCE_S: Final = 3.0
-_HEAD: Final = 100
-"""Upper bound of the bytes of a packet without topic, payload and correlation data."""
-
+_CLOSINGS_S: Final = 120.0
+_NO_REASON: Final = 128
 _log = structlog.get_logger(__name__)
 
 
@@ -58,6 +55,8 @@ class MqttLink:
         connected: whether there is a connection.
         pulse_s: time.monotonic of the last progress of the task.
         reason: why there is no connection; "" if connected.
+        outbox: messages that wait.
+        twin: whether another daemon publishes as this vehicle.
     """
 
     def __init__(
@@ -68,6 +67,7 @@ class MqttLink:
         on_request: Callable[[Incoming], None],
         on_connected: Callable[[], None] = lambda: None,
         backoff_s: float = BACKOFF_S,
+        boot_id: str = "",
     ) -> None:
         """Create the link.
 
@@ -77,42 +77,62 @@ class MqttLink:
             on_request: called with each request; must return immediately and not raise.
             on_connected: called at each connection, before anything is published.
             backoff_s: pause after the first failure, doubled up to `BACKOFF_MOST_S`.
+            boot_id: of this process, as in its states; "" does not watch for another daemon.
         """
         self.topics = Topics(settings.prefix, vehicle)
         self.connected = False
         self.pulse_s = time.monotonic()
         self.reason = "not connected yet"
-        self.outbox = Outbox()
         self._settings = settings
         self._vehicle = vehicle
         self._on_request = on_request
         self._on_connected = on_connected
         self._backoff_s = backoff_s
         self._five = settings.protocol == "5"
+        self._sender = Sender(self.topics, five=self._five, keepalive_s=settings.keepalive_s)
+        self.outbox = self._sender.outbox
+        self._dialer = Dialer(self._client, five=self._five)
+        self._twins = TwinWatch(boot_id)
+        self._identifier = client_id(self.topics)
+        self._may_move = bool(boot_id)
+        self._moved = False
+        self._closings: list[float] = []
+        """When the broker closed a working connection without a reason, since the last failure to connect."""
         self._times = 0
+        self._connections = 0
         self._stopping = asyncio.Event()
         self._said = ""
+        self._told: list[str] = []
         self._short = 0
-        self._suspicion = Suspicion()
-        self._under_way: list[Outgoing] = []
-        self._sent_s = -math.inf
+
+    @property
+    def twin(self) -> bool:
+        """See the class."""
+        return self._twins.present
 
     # --- publishing
 
-    def publish(self, topic: str, payload: bytes, *, retain: bool = False, correlation: bytes | None = None) -> None:
+    def publish(self, topic: str, payload: bytes, *, retain: bool = False) -> None:
         """Queue a message, which is published as soon as the broker is connected; never blocks."""
-        self.outbox.put(Outgoing(topic=topic, payload=payload, retain=retain, correlation=correlation))
+        self._sender.put(Outgoing(topic=topic, payload=payload, retain=retain))
+
+    def announce(self) -> None:
+        """Publish the status again, if the broker does not keep it."""
+        self._sender.announce(ONLINE)
 
     def respond(self, request: Incoming, payload: bytes) -> None:
         """Publish a response on the response topic of the command, and on that of the request if it is allowed."""
         usual = self.topics.response(request.command if is_topic_part(request.command) else "unknown")
-        self.publish(usual, payload, correlation=request.correlation)
+        self._answer(usual, payload, request)
         if not request.response_topic or request.response_topic == usual:
             return
         if self.topics.may_answer_at(request.response_topic):
-            self.publish(request.response_topic, payload, correlation=request.correlation)
+            self._answer(request.response_topic, payload, request)
         else:
             _log.warning("response topic rejected", topic=request.response_topic[:200], allowed_below=self.topics.base)
+
+    def _answer(self, topic: str, payload: bytes, request: Incoming) -> None:
+        self._sender.put(Outgoing(topic=topic, payload=payload, answer=True, correlation=request.correlation))
 
     # --- connection
 
@@ -133,8 +153,9 @@ class MqttLink:
                     patience_s, self._short, self._said = self._backoff_s, 0, ""
                 elif self.connected:
                     self._short += 1  # a broker disconnects a client when another one connects with the same client id
+                self._note_closing(error)
                 self._lost(error)
-                if self._blame(error):
+                if self._sender.blame(error) or self._thrown_off(error):
                     patience_s = self._backoff_s
             finally:
                 self.connected = False
@@ -147,45 +168,72 @@ class MqttLink:
     async def _pause(self, seconds: float) -> None:
         deadline = time.monotonic() + seconds
         while not self._stopping.is_set() and (left := deadline - time.monotonic()) > 0:
-            self.pulse_s = time.monotonic()
+            self._pulse()
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(min(left, _PULSE_S)):
+                async with asyncio.timeout(min(left, PULSE_S)):
                     await self._stopping.wait()
+
+    def _pulse(self) -> None:
+        self.pulse_s = time.monotonic()
 
     async def _session(self) -> None:
         """Run one connection until it ends."""
-        client = await self._client()
         async with contextlib.AsyncExitStack() as stack:
-            await self._until_stop(stack.enter_async_context(client))
-            await self._subscribe(client)
+            client = await self._until_stop(self._dialer.dial(stack))
+            if self._closings and self._times and self._five and self._may_move and not client.session_present:
+                # closed without a reason, and the session is gone: another client began one with this client id
+                self._move()
+                await stack.aclose()
+                client = await self._until_stop(self._dialer.dial(stack))
+            began = time.monotonic()
+            await subscribe_requests(client, self.topics, five=self._five)
+            round_trip_s = time.monotonic() - began
+            await self._watch_for_twin(client)
             self._times += 1
+            self._connections += 1
             self.reason, self.connected = "", True
             _log.info("broker connected", host=self._settings.host, port=self._settings.port, topic=self.topics.base)
-            await client.publish(self.topics.status, ONLINE, qos=1, retain=True)
-            self.outbox.renew()
+            self._tell_limitations()
+            self._sender.connected(self._dialer.terms, round_trip_s=round_trip_s)
+            await self._greet(client)
             self._on_connected()
             try:
                 await self._talk(client)
             except aiomqtt.MqttError as error:
-                raise _with_reason(client, error) from error
+                raise with_reason(client, error) from error
             except asyncio.CancelledError:
                 # the client disconnects regularly, so the broker does not send the will
                 with contextlib.suppress(aiomqtt.MqttError, TimeoutError):
                     async with asyncio.timeout(_FAREWELL_S):
-                        await client.publish(self.topics.status, OFFLINE, qos=1, retain=True)
+                        await self._sender.greet(client, OFFLINE)
                 raise
 
-    async def _until_stop(self, connecting: object) -> None:
+    async def _greet(self, client: BrokerClient) -> None:
+        try:
+            await self._sender.greet(client, ONLINE)
+        except aiomqtt.MqttError as error:
+            self._dialer.ended_at_greeting()
+            raise with_reason(client, error) from error
+        self._dialer.greeted()
+
+    def _tell_limitations(self) -> None:
+        limitations = self._dialer.terms.limitations()
+        if limitations != self._told:
+            for text in limitations or ["the broker keeps retained messages and has QoS 1 now"]:
+                _log.warning("broker with limitations" if limitations else "broker without limitations", text=text)
+        self._told = limitations
+
+    async def _until_stop(self, connecting: Coroutine[Any, Any, BrokerClient]) -> BrokerClient:
         """Connect; a stop request interrupts the attempt."""
-        task = asyncio.ensure_future(connecting)  # type: ignore[call-overload]  # any awaitable
+        task = asyncio.create_task(connecting, name="mqtt connection")
         stop = asyncio.create_task(self._stopping.wait(), name="mqtt stop")
         try:
             await asyncio.wait({task, stop}, return_when=asyncio.FIRST_COMPLETED, timeout=2 * CONNECT_S)
             if not task.done():
                 raise aiomqtt.MqttError("the broker does not respond")
-            await task
+            return await task
         finally:
-            self.pulse_s = time.monotonic()
+            self._pulse()
             for one in (task, stop):
                 one.cancel()
             await asyncio.gather(task, stop, return_exceptions=True)
@@ -204,84 +252,90 @@ class MqttLink:
             if isinstance(result, Exception):
                 raise result
 
-    async def _read(self, client: aiomqtt.Client) -> None:
+    async def _read(self, client: BrokerClient) -> None:
         inbox = client._queue  # noqa: SLF001
         assert isinstance(inbox, Inbox)
         async for message in client.messages:
-            incoming = incoming_of(message, self.topics)
-            if incoming is not None:
+            if str(message.topic) == self.topics.state:
+                self._hear_state(bytes(message.payload or b""), retained=bool(message.retain))
+            elif (incoming := incoming_of(message, self.topics)) is not None:
                 self._on_request(incoming)
             await inbox.read_on()
 
     async def _send(self, client: BrokerClient) -> None:
-        while True:
-            self.pulse_s = time.monotonic()
-            # yield, so that an event and the state that it changes are sent in one batch
-            await asyncio.sleep(0)
-            batch = self._next(client)
-            if batch:
-                await self._send_batch(client, batch)
-            elif self._stopping.is_set():
-                await client.publish(self.topics.status, OFFLINE, qos=1, retain=True)
-                return
-            else:
-                with contextlib.suppress(TimeoutError):
-                    async with asyncio.timeout(_PULSE_S):
-                        await self.outbox.filled.wait()
+        await self._sender.run(client, online=ONLINE, pulse=self._check_eyes, stop=self._stopping)
+        await self._sender.greet(client, OFFLINE)
 
-    def _next(self, client: BrokerClient) -> list[Outgoing]:
-        """The next batch that the broker accepts; messages above its maximum packet size are dropped."""
-        while True:
-            batch = self.outbox.take(1 if self._suspicion.wary else min(_BATCH, client.most_unacknowledged))
-            most = client.largest_packet
-            large = [message for message in batch if most is not None and _size(message) > most]
-            if not large:
-                return batch
-            for message in large:
-                self._give_up(message, f"exceeds the broker's maximum packet size of {most} bytes")
+    # --- others with the same client id
 
-    async def _send_batch(self, client: aiomqtt.Client, batch: list[Outgoing]) -> None:
-        """Send several messages at once, in order, to avoid a round trip per message on slow radio links."""
-        self._under_way, self._sent_s = list(batch), time.monotonic()
-        sends = [
-            asyncio.ensure_future(
-                client.publish(
-                    message.topic, message.payload, qos=1, retain=message.retain, properties=self._properties(message)
-                )
-            )
-            for message in batch
-        ]
-        try:
-            results = await asyncio.gather(*sends, return_exceptions=True)
-        finally:
-            for send in sends:
-                send.cancel()
-        for message, result in zip(batch, results, strict=True):
-            if isinstance(result, BaseException):
-                raise result
-            self.outbox.done(message)
-            self._under_way.remove(message)
-        self._suspicion.acknowledged(batch, left=len(self.outbox))
+    def _note_closing(self, error: Exception) -> None:
+        now = time.monotonic()
+        if not self.connected:
+            self._closings = []  # there is trouble with broker or network
+        elif getattr(getattr(error, "rc", None), "value", _NO_REASON) == _NO_REASON:
+            self._closings = [one for one in self._closings if now - one < _CLOSINGS_S] + [now]
 
-    def _blame(self, error: Exception) -> bool:
-        """Whether an unacknowledged message may have ended the connection; it is dropped after repeated failures."""
-        waiting, self._under_way = self._under_way, []
-        taken_over = getattr(getattr(error, "rc", None), "value", None) == _TAKEN_OVER
-        if not waiting or taken_over or time.monotonic() - self._sent_s > _AT_ONCE_S:
+    def _thrown_off(self, error: Exception) -> bool:
+        """Whether another client connected with this client id; the next connection uses another one then.
+
+        Not every broker says so, and none with MQTT 3.1.1: that it closes working connections is the sign then.
+        """
+        told = getattr(getattr(error, "rc", None), "value", None) == TAKEN_OVER
+        guessed = len(self._closings) >= _SUSPICIOUS and not self._sender.wary
+        if not (told or guessed) or not self._may_move:
             return False
-        if self._suspicion.ended(waiting[0], alone=len(waiting) == 1):
-            self._give_up(waiting[0], f"the broker closes the connection when it is sent ({error})")
+        self._move()
         return True
 
-    def _give_up(self, message: Outgoing, why: str) -> None:
-        _log.error(
-            "message dropped: rejected by the broker", topic=message.topic[:200], size=len(message.payload), error=why
+    def _move(self) -> None:
+        """Use another client id from now on.
+
+        The session stays with the other client: what was requested meanwhile is lost, and is never executed twice.
+        """
+        _log.warning(
+            "another client uses this client id: connecting with another one",
+            client_id=self._identifier,
+            hint="bind client ids to users at the broker, or give each daemon a vehicle id of its own"
+            if not self._moved
+            else "the broker may give client ids by user name: give each program a user of its own",
         )
-        self.outbox.give_up(message)
+        self._identifier, self._moved, self._times = another_client_id(self.topics), True, 0
+        self._closings = []
+        # a connection that the broker still holds for the old client id would set the status to offline
+        self._sender.repeats_status = True
+
+    async def _watch_for_twin(self, client: BrokerClient) -> None:
+        """With a client id of its own, this daemon must see whether another one obeys the same requests."""
+        if not self._moved:
+            return
+        self._may_move = False  # also if the broker closes the connection now
+        if not await subscribe_state(client, self.topics, five=self._five):
+            self._move_back()
+        self._may_move = True
+        self._twins.watch()
+
+    def _move_back(self) -> NoReturn:
+        self._identifier, self._moved, self._may_move = client_id(self.topics), False, False
+        raise aiomqtt.MqttError(
+            f"not permitted to read {self.topics.state}, so that another daemon of vehicle {self._vehicle!r} would not "
+            f"be seen: keeping the client id {self._identifier}"
+        )
+
+    def _check_eyes(self) -> None:
+        self._pulse()
+        if self._moved and self._twins.blind:
+            self._move_back()
+
+    def _hear_state(self, payload: bytes, *, retained: bool) -> None:
+        if self._twins.hear(payload, retained=retained):
+            _log.error(
+                "another daemon publishes as this vehicle: no mission is started or resumed by this one",
+                vehicle=self._vehicle,
+            )
 
     # --- protocol details
 
-    async def _client(self) -> BrokerClient:
+    async def _client(self, terms: Terms) -> BrokerClient:
         connect = None
         if self._five:
             connect = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
@@ -290,44 +344,20 @@ class MqttLink:
             connect.MaximumPacketSize = _LARGEST_PACKET
         return await broker_client(
             self._settings,
-            identifier=f"panoexec-{self.topics.base.replace('/', '-')}",
+            identifier=self._identifier,
             connect=connect,
             # discard requests that were sent before this process started
             clean_start=self._times == 0 if self._five else 3,
             clean_session=None if self._five else True,
-            will=aiomqtt.Will(self.topics.status, OFFLINE, qos=1, retain=True),
+            will=aiomqtt.Will(self.topics.status, OFFLINE, qos=terms.qos, retain=terms.retain),
             queue_type=Inbox,
             max_queued_incoming_messages=_INCOMING,
-            max_inflight_messages=_BATCH + 4,
+            max_inflight_messages=BATCH + 4,
         )
-
-    async def _subscribe(self, client: aiomqtt.Client) -> None:
-        if self._five:
-            # with retainAsPublished the retain flag of live requests is visible, so that they can be rejected
-            options = SubscribeOptions(qos=1, retainAsPublished=True, retainHandling=0)
-            answer = await client.subscribe(self.topics.requests, options=options)
-        else:
-            answer = await client.subscribe(self.topics.requests, qos=1)
-        code = answer[0]
-        if getattr(code, "value", code) >= _REFUSED:
-            raise aiomqtt.MqttError(
-                f"not permitted to subscribe to {self.topics.requests}: check the ACL of the broker"
-            )
-
-    def _properties(self, message: Outgoing) -> Properties | None:
-        if not self._five:
-            return None
-        properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
-        if message.payload:
-            properties.ContentType = "application/json"
-            properties.PayloadFormatIndicator = 1
-        if message.correlation is not None:
-            properties.CorrelationData = message.correlation
-        return properties
 
     def _lost(self, error: Exception) -> None:
         text = explained(str(error) or type(error).__name__, self._settings)
-        if self._short >= _SUSPICIOUS and not self._suspicion.wary:
+        if self._short >= _SUSPICIOUS and not self._sender.wary:
             text = (
                 f"connections end immediately: check whether two daemons use the vehicle id {self._vehicle!r} ({text})"
             )
@@ -337,17 +367,6 @@ class MqttLink:
                 "broker connection failed, retrying", host=self._settings.host, port=self._settings.port, error=text
             )
         self._said = text
-
-
-def _with_reason(client: aiomqtt.Client, error: aiomqtt.MqttError) -> aiomqtt.MqttError:
-    """The error with the reason code of the disconnection, which aiomqtt does not expose."""
-    ended = client._disconnected  # noqa: SLF001
-    reason = ended.exception() if ended.done() and not ended.cancelled() else None
-    return reason if isinstance(reason, aiomqtt.MqttError) else error
-
-
-def _size(message: Outgoing) -> int:
-    return len(message.payload) + len(message.topic.encode()) + len(message.correlation or b"") + _HEAD
 
 
 @contextlib.asynccontextmanager

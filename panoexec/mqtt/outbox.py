@@ -1,11 +1,24 @@
-"""Queue of outgoing messages while the broker is lost or slow: bounded, in order, latest message per retained topic."""
+"""Outgoing messages while the broker is lost or slow: bounded, in order, latest message per retained topic.
+
+Answers, events and retained topics are kept apart, so that a flood of requests pushes no event out, and so that an
+answer does not wait behind the events of a mission.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import math
+import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Final
+
+OVERDUE_S: Final = 10.0
+"""A retained topic that has waited so long goes before events, of which there may be more than the link can carry."""
+
+_HEAD: Final = 100
+"""Upper bound of the bytes of a packet without topic, payload and correlation data."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -15,68 +28,139 @@ class Outgoing:
     Attributes:
         topic: complete topic.
         payload: payload bytes; an empty retained message clears the topic.
-        retain: retain flag.
+        retain: whether only the latest message of the topic is of interest, and is to be retained.
+        answer: whether it answers a request.
         correlation: correlation data of the answered request (MQTT 5).
     """
 
     topic: str
     payload: bytes
     retain: bool = False
+    answer: bool = False
     correlation: bytes | None = None
 
+    @property
+    def size(self) -> int:
+        """Upper bound of the size of the packet in bytes."""
+        return len(self.payload) + len(self.topic.encode()) + len(self.correlation or b"") + _HEAD
 
-class Outbox:
-    """The latest message of each retained topic, sent again at each connection, and a queue of all other messages.
 
-    Args:
-        limit: maximum number of queued messages; the oldest ones are dropped beyond it.
-        limit_bytes: maximum total size of their payloads.
+class _Bounded:
+    """A queue that drops its oldest messages beyond a number of messages or bytes."""
 
-    Attributes:
-        dropped: number of dropped messages.
-        filled: set while messages are waiting.
-    """
-
-    def __init__(self, *, limit: int = 10_000, limit_bytes: int = 16 * 2**20) -> None:
-        self.dropped = 0
-        self.filled = asyncio.Event()
+    def __init__(self, limit: int, limit_bytes: int) -> None:
+        self.messages: deque[Outgoing] = deque()
         self._limit = limit
         self._limit_bytes = limit_bytes
         self._bytes = 0
-        self._queue: deque[Outgoing] = deque()
+
+    def put(self, message: Outgoing) -> int:
+        """Add a message; returns how many were dropped."""
+        self.messages.append(message)
+        self._bytes += len(message.payload)
+        dropped = 0
+        while len(self.messages) > self._limit or self._bytes > self._limit_bytes:
+            self._bytes -= len(self.messages.popleft().payload)
+            dropped += 1
+        return dropped
+
+    def remove(self, message: Outgoing) -> None:
+        for place, one in enumerate(self.messages):
+            if one is message:
+                del self.messages[place]
+                self._bytes -= len(message.payload)
+                return
+
+
+class Outbox:
+    """Queues of answers and of events, and the latest message of each retained topic, sent again at each connection.
+
+    Args:
+        limit: maximum number of events; the oldest ones are dropped beyond it.
+        limit_bytes: maximum total size of their payloads.
+        answers: maximum number of answers.
+        answers_bytes: maximum total size of their payloads.
+        clock: monotonic seconds.
+
+    Attributes:
+        dropped: number of dropped messages.
+        filled: set when there is a new message; cleared when none is left.
+    """
+
+    def __init__(
+        self,
+        *,
+        limit: int = 10_000,
+        limit_bytes: int = 16 * 2**20,
+        answers: int = 1_000,
+        answers_bytes: int = 4 * 2**20,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.dropped = 0
+        self.filled = asyncio.Event()
+        self._clock = clock
+        self._events = _Bounded(limit, limit_bytes)
+        self._answers = _Bounded(answers, answers_bytes)
         self._retained: dict[str, Outgoing] = {}
-        self._stale: dict[str, None] = {}
+        self._stale: dict[str, float] = {}
+        """Topics whose latest message is to be sent, and since when."""
+        self._held: dict[str, bytes] = {}
+        """Payloads that the broker has acknowledged on this connection."""
 
     def __len__(self) -> int:
-        return len(self._queue) + len(self._stale)
+        return len(self._answers.messages) + len(self._events.messages) + len(self._stale)
 
     def put(self, message: Outgoing) -> None:
         """Add a message."""
         if message.retain:
             self._retained[message.topic] = message
-            self._stale[message.topic] = None
+            self._stale.setdefault(message.topic, self._clock())
         else:
-            self._queue.append(message)
-            self._bytes += len(message.payload)
-            while len(self._queue) > self._limit or self._bytes > self._limit_bytes:
-                self._bytes -= len(self._queue.popleft().payload)
-                self.dropped += 1
+            self.dropped += (self._answers if message.answer else self._events).put(message)
         self.filled.set()
+
+    def is_held(self, message: Outgoing) -> bool:
+        """Whether the broker has acknowledged this very message of a retained topic on this connection."""
+        return self._held.get(message.topic) == message.payload and message.topic not in self._stale
 
     def renew(self) -> None:
         """Send all retained messages again after a new connection, because the broker may have lost them."""
-        self._stale = dict.fromkeys(self._retained)
+        self._stale = dict.fromkeys(self._retained, self._clock())
+        self._held.clear()
         if len(self):
             self.filled.set()
 
-    def take(self, most: int) -> list[Outgoing]:
-        """The next messages, retained ones first; each is returned again until it is `done`."""
-        out = [self._retained[topic] for topic in self._stale][:most]
-        for message in self._queue:
-            if len(out) >= most:
+    def take(
+        self,
+        most: int,
+        most_bytes: float = math.inf,
+        *,
+        may_go: Callable[[Outgoing, float], bool] = lambda _message, _waited_s: True,
+    ) -> list[Outgoing]:
+        """The next messages: answers, then events, then retained topics; each is returned again until it is `done`.
+
+        Args:
+            most: maximum number.
+            most_bytes: maximum size of all together; one message may be larger.
+            may_go: whether a message of a retained topic may be sent now, from the message and how long it has waited.
+        """
+        out: list[Outgoing] = []
+        size = 0
+        for message in self._in_order(may_go):
+            size += message.size
+            if len(out) >= most or (out and size > most_bytes):
                 break
             out.append(message)
         return out
+
+    def _in_order(self, may_go: Callable[[Outgoing, float], bool]) -> Iterator[Outgoing]:
+        yield from self._answers.messages
+        now = self._clock()
+        waiting = [(self._retained[topic], now - since) for topic, since in self._stale.items()]
+        ready = [(message, waited) for message, waited in waiting if may_go(message, waited)]
+        yield from (message for message, waited in ready if waited >= OVERDUE_S)
+        yield from self._events.messages
+        yield from (message for message, waited in ready if waited < OVERDUE_S)
 
     def give_up(self, message: Outgoing) -> None:
         """Drop a message that the broker rejects."""
@@ -84,51 +168,26 @@ class Outbox:
             if self._retained.get(message.topic) is message:
                 del self._retained[message.topic]
                 self._stale.pop(message.topic, None)
-        elif message in self._queue:
-            self._queue.remove(message)
-            self._bytes -= len(message.payload)
+        else:
+            self._remove(message)
         self.dropped += 1
-        if not len(self):
-            self.filled.clear()
+        self._clear_if_empty()
 
     def done(self, message: Outgoing) -> None:
         """Remove a message that the broker has acknowledged."""
         if message.retain:
+            self._held[message.topic] = message.payload
             if self._retained.get(message.topic) is message:
                 self._stale.pop(message.topic, None)
-        elif self._queue and self._queue[0] is message:
-            self._bytes -= len(self._queue.popleft().payload)
+            elif message.topic in self._stale:
+                self._stale[message.topic] = self._clock()
+        else:
+            self._remove(message)
+        self._clear_if_empty()
+
+    def _remove(self, message: Outgoing) -> None:
+        (self._answers if message.answer else self._events).remove(message)
+
+    def _clear_if_empty(self) -> None:
         if not len(self):
             self.filled.clear()
-
-
-class Suspicion:
-    """Finds a message that repeatedly makes the broker close the connection, for example because it is too large.
-
-    After a connection has ended with several unacknowledged messages, messages are sent one by one. A message with
-    which the connection ends `STRIKES` times in a row is identified as the cause.
-    """
-
-    STRIKES = 3
-
-    def __init__(self) -> None:
-        self.wary = False
-        """Whether messages should be sent one by one."""
-        self._suspect: Outgoing | None = None
-        self._strikes = 0
-
-    def ended(self, message: Outgoing, *, alone: bool) -> bool:
-        """Record that the connection ended with this unacknowledged message; returns whether it is the cause."""
-        self.wary = True
-        if not alone:
-            return False
-        self._strikes = self._strikes + 1 if message is self._suspect else 1
-        self._suspect = message
-        return self._strikes >= self.STRIKES
-
-    def acknowledged(self, messages: Sequence[Outgoing], *, left: int) -> None:
-        """Record acknowledged messages and the number of messages that are still waiting."""
-        if any(message is self._suspect for message in messages):
-            self._suspect, self._strikes = None, 0
-        if not left:
-            self.wary = False

@@ -1,21 +1,33 @@
-"""Test of the permissions at a broker, with a separate client id so that a running daemon is not disconnected."""
+"""Test of a broker for the doctor: what the daemon would find, by the same code, without disturbing a running daemon.
+
+The client has an id of its own, its will and its messages are on the topic `response/doctor`, for which no client
+waits, and the permission to publish the daemon's topics is asked for without publishing there.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import time
+from contextlib import AsyncExitStack
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import aiomqtt
 
 from panoexec.errors import LinkError
 from panoexec.inputs.config import MqttSection
 from panoexec.mqtt.certificates import explained
-from panoexec.mqtt.client import CONNECT_S, broker_client
+from panoexec.mqtt.client import CONNECT_S, REFUSED, BrokerClient, broker_client
+from panoexec.mqtt.client_id import client_id
+from panoexec.mqtt.dialer import TAKEN_OVER, Dialer, Terms
+from panoexec.mqtt.sender import with_reason
+from panoexec.mqtt.subscribing import subscribe_requests, subscribe_state
 from panoexec.mqtt.topics import Topics
 
-_REFUSED: Final = 128
+_NOTHING: Final = b'{"transaction":null,"status":"ok"}'
+"""Clients ignore a response without a transaction."""
+
+_EXACTLY_ONCE: Final = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,42 +37,112 @@ class BrokerReport:
     Attributes:
         connect_s: time to connect.
         round_trip_s: time until a message was acknowledged.
+        limitations: what the broker does not offer, and what the daemon does about it, one sentence each.
+        largest_packet: its maximum packet size in bytes; None if it does not announce one.
         may_read: whether the vehicle can subscribe to its requests.
-        may_write: whether the vehicle can publish responses; None with MQTT 3.1.1, which does not report it.
+        sees_twin: whether the vehicle can read its own state, and so notice another daemon.
+        may_write: whether the vehicle can publish, by topic below the base topic; None where the broker does not tell.
     """
 
     connect_s: float
     round_trip_s: float
+    limitations: list[str]
+    largest_packet: int | None
     may_read: bool
-    may_write: bool | None
+    sees_twin: bool
+    may_write: dict[str, bool | None]
 
 
 async def probe_broker(settings: MqttSection, *, vehicle: str) -> BrokerReport:
-    """Connect, test the permissions that the daemon needs, and disconnect.
+    """Connect, test what the daemon needs, and disconnect.
 
     Args:
         settings: broker and credentials; `host` is set.
         vehicle: vehicle id.
 
     Raises:
-        LinkError: the broker cannot be reached or rejects the connection; the text explains TLS errors.
+        LinkError: the broker cannot be reached or rejects the connection; the text explains the error.
         UsageError: a password or certificate file is invalid, or a certificate has expired.
     """
     assert settings.host is not None
     topics, five = Topics(settings.prefix, vehicle), settings.protocol == "5"
-    client = await broker_client(settings, identifier="panoexec-doctor-")
-    began = time.monotonic()
+
+    async def make(terms: Terms) -> BrokerClient:
+        will = aiomqtt.Will(topics.response("doctor"), _NOTHING, qos=terms.qos, retain=terms.retain)
+        return await broker_client(settings, identifier=f"{client_id(topics)}:doctor-", will=will)
+
+    dialer = Dialer(make, five=five)
     try:
-        async with asyncio.timeout(2 * CONNECT_S), client:
-            connect_s = time.monotonic() - began
-            granted: Any = (await client.subscribe(topics.requests, qos=1))[0]
-            may_read = int(getattr(granted, "value", granted)) < _REFUSED
-            began = time.monotonic()
-            # no client waits for this response, and clients ignore a response without a transaction
-            await client.publish(topics.response("doctor"), b'{"transaction":null,"status":"ok"}', qos=1)
-            round_trip_s = time.monotonic() - began
+        try:
+            return await _examined(dialer, topics, five=five)
+        except _EndedAtRetainedError:
+            return await _examined(dialer, topics, five=five)  # without retained messages if that is the cause
     except (aiomqtt.MqttError, TimeoutError, OSError) as error:
-        why = explained(str(error) or "it does not respond", settings)
+        if getattr(getattr(error, "rc", None), "value", None) == TAKEN_OVER:
+            why = (
+                "another client took the connection over: the broker gives client ids by user name, and a daemon with "
+            )
+            why += "this user name is running; ask that one (panoexec send doctor)"
+        else:
+            why = explained(str(error) or "it does not respond", settings)
         raise LinkError(f"no connection to broker {settings.host}:{settings.port}: {why}") from error
-    may_write = client.acknowledged < _REFUSED if five else None
-    return BrokerReport(connect_s=connect_s, round_trip_s=round_trip_s, may_read=may_read, may_write=may_write)
+
+
+class _EndedAtRetainedError(aiomqtt.MqttError):
+    """The connection ended at a retained message."""
+
+
+async def _examined(dialer: Dialer, topics: Topics, *, five: bool) -> BrokerReport:
+    began = time.monotonic()
+    async with asyncio.timeout(2 * CONNECT_S), AsyncExitStack() as stack:
+        client = await dialer.dial(stack)
+        connect_s = time.monotonic() - began
+        try:
+            return await _tested(client, dialer, topics, connect_s=connect_s, five=five)
+        except _EndedAtRetainedError:
+            raise
+        except aiomqtt.MqttError as error:
+            raise with_reason(client, error) from error
+
+
+async def _tested(
+    client: BrokerClient, dialer: Dialer, topics: Topics, *, connect_s: float, five: bool
+) -> BrokerReport:
+    terms = dialer.terms
+    try:
+        await subscribe_requests(client, topics, five=five)
+        may_read = True
+    except aiomqtt.MqttError:
+        if client.is_lost:
+            raise
+        may_read = False
+    began = time.monotonic()
+    code = await client.send(topics.response("doctor"), _NOTHING, qos=terms.qos, retain=False)
+    round_trip_s = time.monotonic() - began
+    try:
+        # an empty retained message leaves nothing behind
+        await client.send(topics.response("doctor"), b"", qos=terms.qos, retain=terms.retain)
+    except aiomqtt.MqttError as error:
+        dialer.ended_at_greeting()
+        dialer.ended_at_greeting()
+        raise _EndedAtRetainedError(str(with_reason(client, error))) from error
+    may_write: dict[str, bool | None] = {"response": code < REFUSED if five and terms.qos else None}
+    asks = five and client.limits.max_qos == _EXACTLY_ONCE
+    for name in ("status", "state", "plan", "event"):
+        may_write[name] = await client.may_publish(getattr(topics, name)) if asks else None
+    return BrokerReport(
+        connect_s=connect_s,
+        round_trip_s=round_trip_s,
+        limitations=terms.limitations(),
+        largest_packet=client.limits.largest_packet,
+        may_read=may_read,
+        sees_twin=await _sees_twin(client, topics, five=five),
+        may_write=may_write,
+    )
+
+
+async def _sees_twin(client: BrokerClient, topics: Topics, *, five: bool) -> bool:
+    try:
+        return await subscribe_state(client, topics, five=five)
+    except aiomqtt.MqttError:
+        return False  # some brokers close the connection instead

@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
 from panoexec.mqtt.requests import RefusedRequestError, Request
 
-KEPT: Final = 10_000
-"""Transactions that are kept, on disk and in memory; older ones are deleted."""
+UNWRITTEN: Final = 10_000
+"""Responses that are kept for a disk that refuses them; older ones are deleted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class TransactionMemory:
     def __init__(self) -> None:
         self.rows: OrderedDict[str, Known] = OrderedDict()
         self.values: dict[str, str | None] = {}
-        self._known: OrderedDict[str, Known] = OrderedDict()
+        self._known: dict[str, Known] = {}
 
     def find(self, request: Request) -> Known | None:
         """The transaction of a request, None if it is new.
@@ -77,19 +77,23 @@ class TransactionMemory:
 
     def add_stored(self, stored: Mapping[str, Known]) -> None:
         """Add the transactions on disk, oldest first; those of this process remain as they are."""
-        self._known = OrderedDict({**stored, **self._known})
+        self._known = {**stored, **self._known}
 
     def add(self, request: Request) -> None:
         """Add a transaction whose response is only on disk."""
-        self._add(key_of(request), Known(request.command, fields_digest(request)))
+        self._known[key_of(request)] = Known(request.command, fields_digest(request))
+
+    def forget(self, keys: Iterable[str]) -> None:
+        """These transactions are not on disk any more."""
+        for key in keys:
+            self._known.pop(key, None)
 
     def answered(self, request: Request, response: bytes) -> None:
         """Add a response that is not on disk yet."""
         known = Known(request.command, fields_digest(request), response)
-        self._add(key_of(request), known)
-        self.rows[key_of(request)] = known
-        while len(self.rows) > KEPT:
-            self.rows.popitem(last=False)
+        self._known[key_of(request)] = self.rows[key_of(request)] = known
+        while len(self.rows) > UNWRITTEN:
+            self._known.pop(self.rows.popitem(last=False)[0], None)
 
     def written(self, rows: Mapping[str, Known], values: Mapping[str, str | None]) -> None:
         """These rows and values are on disk now."""
@@ -99,11 +103,6 @@ class TransactionMemory:
         for name, value in values.items():
             if self.values.get(name, value) == value:
                 self.values.pop(name, None)
-
-    def _add(self, key: str, known: Known) -> None:
-        self._known[key] = known
-        while len(self._known) > KEPT:
-            self._known.popitem(last=False)
 
 
 def key_of(request: Request) -> str:

@@ -32,9 +32,9 @@ import structlog
 from panoexec.errors import UsageError
 from panoexec.mqtt.messages import Response, dump, failed
 from panoexec.mqtt.requests import STOPPING, RefusedRequestError, Request
+from panoexec.mqtt.retention import Retention
 from panoexec.mqtt.transaction_file import StorageDownError, open_transaction_file
 from panoexec.mqtt.transaction_memory import (
-    KEPT,
     Known,
     TransactionMemory,
     conflict,
@@ -93,6 +93,7 @@ class Transactions:
         self._boot_id = boot_id
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="transactions")
         self._connection: sqlite3.Connection | None = None
+        self._retention = Retention()
         self._under_way: dict[str, _UnderWay] = {}
         self._read: OrderedDict[str, tuple[str, bytes]] = OrderedDict()
         self._memory = TransactionMemory()
@@ -148,6 +149,7 @@ class Transactions:
     def _database(self) -> sqlite3.Connection:
         if self._connection is None:
             connection = open_transaction_file(self.path)
+            self._retention.load(connection)
             self._memory.add_stored(_stored(connection))
             self._connection = connection
         return self._connection
@@ -293,7 +295,7 @@ class Transactions:
             RefusedRequestError: it cannot be written.
         """
         key = key_of(request)
-        await self._run(lambda: self._store_response(key, response))
+        self._memory.forget(await self._run(lambda: self._store_response(key, request.command, response)))
 
     async def remember(self, key: str, value: str | None) -> None:
         """Store a value under a name, durably; None deletes it.
@@ -326,14 +328,16 @@ class Transactions:
             if not rows and not values:
                 return True
             try:
-                await self._run(lambda: self._store_all(rows, values))
+                self._memory.forget(await self._run(lambda: self._store_all(rows, values)))
             except RefusedRequestError as error:
                 _log.error("responses could not be stored, kept in memory", count=len(rows), error=error.message)
                 return False
             self._memory.written(rows, values)
             return True
 
-    def _store_all(self, rows: Mapping[str, Known], values: Mapping[str, str | None]) -> None:
+    def _store_all(self, rows: Mapping[str, Known], values: Mapping[str, str | None]) -> list[str]:
+        """Returns the transactions that are forgotten."""
+        forgotten: list[str] = []
         for name, value in values.items():
             self._store_value(name, value)
         for key, known in rows.items():
@@ -341,14 +345,16 @@ class Transactions:
             # one stored meanwhile for a different request keeps the transaction
             with contextlib.suppress(RefusedRequestError):
                 if self._note(key, known.command, known.digest).status != "answered":
-                    self._store_response(key, known.response.decode())
+                    forgotten += self._store_response(key, known.command, known.response.decode())
+        return forgotten
 
-    def _store_response(self, key: str, response: str) -> None:
+    def _store_response(self, key: str, command: str, response: str) -> list[str]:
+        """Returns the transactions that are forgotten."""
         with self._database() as database:
             database.execute("UPDATE transactions SET response = ? WHERE id = ?", (response, key))
-            database.execute(
-                "DELETE FROM transactions WHERE number <= (SELECT MAX(number) FROM transactions) - ?", (KEPT,)
-            )
+            forgotten = list(self._retention.answered(key, command, response))
+            database.executemany("DELETE FROM transactions WHERE id = ?", [(one,) for one in forgotten])
+        return forgotten
 
     def _store_value(self, key: str, value: str | None) -> None:
         with self._database() as database:

@@ -16,6 +16,7 @@ import aiomqtt
 from tests.schemas import DOCUMENT, misfits
 from tests.waiting import eventually
 from tests.wire.broker import Broker
+from tests.wire.broker_proxy import BrokerProxy
 
 SPEEDUP = 8.0
 BASE = "panoexec/drone"
@@ -106,7 +107,7 @@ async def ground_station(broker: Broker) -> AsyncIterator[Ground]:
         await asyncio.gather(task, return_exceptions=True)
 
 
-def write_config(folder: Path, broker: Broker, port: int, *, more: str = "", mqtt: str = "") -> Path:
+def write_config(folder: Path, broker: Broker | BrokerProxy, port: int, *, more: str = "", mqtt: str = "") -> Path:
     """A configuration for a simulated vehicle that sends to that UDP port."""
     config = folder / "config.toml"
     config.write_text(
@@ -120,7 +121,7 @@ def write_config(folder: Path, broker: Broker, port: int, *, more: str = "", mqt
 @asynccontextmanager
 async def serving(
     folder: Path,
-    broker: Broker,
+    broker: Broker | BrokerProxy,
     port: int,
     *,
     more: str = "",

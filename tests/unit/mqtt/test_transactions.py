@@ -5,17 +5,19 @@ from __future__ import annotations
 import errno
 import json
 import sqlite3
+import tempfile
 import threading
 import time
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from panoexec.errors import UsageError
 from panoexec.mqtt import transaction_file
 from panoexec.mqtt.messages import Response, ok
-from panoexec.mqtt.outbox import Outbox, Outgoing, Suspicion
 from panoexec.mqtt.requests import RefusedRequestError, Request, parse_request
 from panoexec.mqtt.transaction_file import StorageDownError
 from panoexec.mqtt.transactions import Transactions
@@ -88,14 +90,68 @@ async def test_a_request_that_only_reads_is_not_kept_on_disk(tmp_path: Path) -> 
     assert [json.loads(answer)["data"]["boot"] for answer in answers] == ["first", "first", "second", "second"]
 
 
+OK, NO = '{"status": "ok"}', '{"status": "error"}'
+
+
 async def test_forgets_the_oldest_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("panoexec.mqtt.transactions.KEPT", 3)
+    monkeypatch.setattr("panoexec.mqtt.retention.KEPT", 3)
     store = await Transactions.open(tmp_path / "t.sqlite", boot_id="b")
     for number in range(5):
         await store.note(a_request(number))
-        await store.answered(a_request(number), str(number))
+        await store.answered(a_request(number), OK)
     statuses = [(await store.note(a_request(number))).status for number in range(5)]
     assert statuses == ["new", "new", "answered", "answered", "answered"]
+    await store.close()
+
+
+CHEAP = ["pause", "resume", "finish", "skip", "repeat", "abort"]
+
+
+@settings(max_examples=10)
+@given(st.lists(st.tuples(st.sampled_from(CHEAP), st.sampled_from([OK, NO])), max_size=40), st.integers(0, 40))
+async def test_no_number_of_other_requests_lets_an_old_start_act_again(
+    others: list[tuple[str, str]], restart_after: int
+) -> None:
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setattr("panoexec.mqtt.retention.KEPT", 3)
+        store = await Transactions.open(Path(folder) / "t.sqlite", boot_id="b")
+        start, interrupted = a_request('"s"', "start"), a_request('"i"', "start")
+        assert (await store.note(start)).status == "new"
+        await store.answered(start, OK)
+        refused = a_request('"r"', "start")
+        assert (await store.note(refused)).status == "new"
+        await store.answered(refused, NO)
+        assert (await store.note(interrupted)).status == "new"
+        for number, (command, response) in enumerate(others):
+            if number == restart_after:
+                await store.close()
+                store = await Transactions.open(Path(folder) / "t.sqlite", boot_id="c")
+            one = a_request(number, command)
+            await store.note(one)
+            await store.answered(one, response)
+        assert (await store.note(start)).status == "answered"
+        assert (await store.note(refused)).status == "answered"
+        assert (await store.note(interrupted)).status in ("under way", "interrupted")
+        kept = store._connection.execute("SELECT COUNT(*) FROM transactions").fetchone()[0] if store._connection else 0
+        assert kept <= 3 + 3 * 2 * len(CHEAP), "and the store is bounded"
+        await store.close()
+
+
+async def test_a_flood_of_get_requests_reaches_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("panoexec.mqtt.retention.KEPT", 3)
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="b")
+
+    async def obey() -> Response:
+        return ok("a", {})
+
+    start = a_request('"s"', "start")
+    await store.note(start)
+    await store.answered(start, OK)
+    for number in range(300):
+        request = a_request(number, "get")
+        store.enter(request, lambda _: None)
+        await store.serve(request, obey)
+    assert (await store.note(start)).status == "answered"
     await store.close()
 
 
@@ -245,77 +301,3 @@ async def test_an_answer_that_could_not_be_stored_is_given_again_and_stored_late
     store = await Transactions.open(tmp_path / "t.sqlite", boot_id="second")
     assert (await store.note(a_request(command="skip"))).response.encode() == answers[0]
     await store.close()
-
-
-def message(topic: str, payload: bytes = b"x", *, retain: bool = False) -> Outgoing:
-    return Outgoing(topic=topic, payload=payload, retain=retain)
-
-
-async def test_the_outbox_keeps_order_and_only_the_newest_retained() -> None:
-    box = Outbox()
-    first, second = message("event", b"1"), message("event", b"2")
-    box.put(first)
-    box.put(message("state", b"old", retain=True))
-    box.put(message("state", b"new", retain=True))
-    box.put(second)
-    batch = box.take(10)
-    assert [one.payload for one in batch] == [b"new", b"1", b"2"]
-    for one in batch:
-        box.done(one)
-    assert len(box) == 0
-    assert not box.filled.is_set()
-    box.renew()
-    assert [one.payload for one in box.take(10)] == [b"new"], "a new connection gets the state again"
-
-
-async def test_a_state_that_changed_while_the_old_one_was_sent_goes_out_too() -> None:
-    box = Outbox()
-    box.put(message("state", b"old", retain=True))
-    sent = box.take(1)[0]
-    box.put(message("state", b"new", retain=True))
-    box.done(sent)
-    assert [one.payload for one in box.take(1)] == [b"new"]
-
-
-async def test_the_outbox_is_bounded_by_number_and_bytes() -> None:
-    box = Outbox(limit=3, limit_bytes=10)
-    for number in range(5):
-        box.put(message("event", str(number).encode()))
-    assert [one.payload for one in box.take(10)] == [b"2", b"3", b"4"]
-    box.put(message("event", b"12345678"))
-    assert [one.payload for one in box.take(10)] == [b"3", b"4", b"12345678"]
-    assert box.dropped == 3
-
-
-def test_the_message_at_which_the_connection_ends_again_and_again_is_found() -> None:
-    good, bad = message("event", b"good"), message("event", b"bad")
-    suspicion = Suspicion()
-    assert not suspicion.ended(good, alone=False)
-    assert suspicion.wary, "one by one from now on"
-    assert not suspicion.ended(good, alone=True)
-    suspicion.acknowledged([good], left=1)
-    assert [suspicion.ended(bad, alone=True) for _ in range(3)] == [False, False, True]
-    suspicion.acknowledged([good], left=0)
-    assert not suspicion.wary
-
-
-def test_links_that_are_lost_now_and_then_condemn_nothing() -> None:
-    suspicion, event = Suspicion(), message("event")
-    for _ in range(10):
-        assert not suspicion.ended(event, alone=True)
-        assert not suspicion.ended(event, alone=True)
-        suspicion.acknowledged([event], left=0)
-
-
-async def test_what_is_given_up_goes_out_no_more() -> None:
-    box = Outbox()
-    event, state = message("event"), message("state", retain=True)
-    box.put(event)
-    box.put(state)
-    box.give_up(event)
-    assert box.take(9) == [state]
-    box.give_up(state)
-    box.renew()
-    assert box.take(9) == []
-    assert not box.filled.is_set()
-    assert box.dropped == 2
