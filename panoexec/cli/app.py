@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import panoexec
+from panoexec.cli.streams import discard_output, is_broken_pipe, make_lenient
 from panoexec.errors import DependencyError, PanoexecError, UsageError, to_install
 
 EXIT_DONE = 0
@@ -67,25 +68,32 @@ def run(argv: Sequence[str]) -> int:
     Returns:
         The exit code (docs/contract.md).
     """
+    make_lenient()
     try:
-        return _dispatch(list(argv))
-    except PanoexecError as error:
-        return _report(error)
+        code = _dispatch(list(argv))
+        sys.stdout.flush()  # an error of the last line belongs here, not to the exit of the interpreter
     except KeyboardInterrupt:
         print("panoexec: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
-    except BrokenPipeError:
-        # the reader of a pipe has closed it (`panoexec cameras | head`): no message, not even at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_DONE
-    except OSError as error:
-        return _report(UsageError(f"{error.filename or 'output'}: {error.strerror or error}"))
-    except Exception as error:
-        # last resort: users see a traceback only on request
-        if os.environ.get("PANOEXEC_TRACEBACK"):
-            raise
-        text = f"internal error, please report it: {type(error).__name__}: {error} (PANOEXEC_TRACEBACK=1 shows where)"
-        return _report(PanoexecError(text))
+    except Exception as error:  # noqa: BLE001  (whatever it is, users see one line)
+        if is_broken_pipe(error):
+            # the reader of a pipe has closed it (`panoexec cameras | head`): no message, not even at exit
+            discard_output()
+            return EXIT_DONE
+        return _report(_for_users(error))
+    return code
+
+
+def _for_users(error: Exception) -> PanoexecError:
+    if isinstance(error, PanoexecError):
+        return error
+    if isinstance(error, OSError):
+        return UsageError(f"{error.filename or 'output'}: {error.strerror or error}")
+    # last resort: users see a traceback only on request
+    if os.environ.get("PANOEXEC_TRACEBACK"):
+        raise error
+    text = f"internal error, please report it: {type(error).__name__}: {error} (PANOEXEC_TRACEBACK=1 shows where)"
+    return PanoexecError(text)
 
 
 def _report(error: PanoexecError) -> int:

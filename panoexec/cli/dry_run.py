@@ -82,13 +82,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_gimbal_arguments(parser)
     add_method_arguments(parser)
     add_vehicle_arguments(parser)
-    sitl = parser.add_argument_group("ArduPilot SITL instead of the embedded vehicle (docs/sitl.md)")
+    sitl = parser.add_argument_group("ArduPilot or PX4 SITL instead of the embedded vehicle (docs/sitl.md)")
     sitl.add_argument(
         "--sitl",
         nargs="?",
         const="",
         metavar="BINARY",
-        help="start this ArduCopter SITL binary (or $ARDUPILOT_SITL), climb to 30 m, take the panorama, land",
+        help="start this ArduCopter or PX4 SITL binary (or $ARDUPILOT_SITL, $PX4_SITL), climb to 30 m, take the "
+        "panorama, land",
     )
     sitl.add_argument(
         "--sitl-connect",

@@ -7,6 +7,8 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
+from panoexec.cli.streams import can_encode_all
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -29,7 +31,7 @@ def has_colours(out: Console) -> bool:
 
 def print_json(document: object) -> None:
     """Print exactly one JSON document on stdout."""
-    print(json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False))
+    print(json.dumps(document, indent=1, ensure_ascii=not can_encode_all(sys.stdout), allow_nan=False))
 
 
 def note(text: str) -> None:

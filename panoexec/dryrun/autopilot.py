@@ -1,64 +1,45 @@
-"""An ArduCopter SITL as a child process: started, monitored, and killed together with its parent."""
+"""An autopilot in software (SITL) as a child process: started, monitored, and killed together with its parent."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import importlib.resources
 import os
-import socket
+import signal
 import sys
 import tempfile
-from collections.abc import AsyncIterator, Mapping
-from dataclasses import dataclass
+from collections.abc import AsyncIterator
 from pathlib import Path
+from typing import Final
 
-from panoexec.dryrun import tether
+from panoexec.dryrun import arducopter, px4, tether
+from panoexec.dryrun.firmware import Firmware, Launch, SitlOptions
 from panoexec.errors import DeviceError, UsageError
 
-BINARY_VARIABLE = "ARDUPILOT_SITL"
-"""Environment variable with the path of the binary."""
+BINARY_VARIABLES: Final = (arducopter.BINARY_VARIABLE, px4.BINARY_VARIABLE)
+"""Environment variables with the path of a binary, in the order in which `--sitl` without a value looks at them."""
 
-PARAMETER_FILE = "ardupilot-sitl.parm"
 _LOG = "sitl.log"
 _TERM_S = 3.0
-_WHAT = "the ArduCopter binary of an ArduPilot SITL build, build/sitl/bin/arducopter"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SitlOptions:
-    """How to start the SITL.
-
-    Attributes:
-        binary: ArduCopter, built for SITL.
-        ground_port: UDP port on this machine that SERIAL0 sends to, for the ground station.
-        payload_port: UDP port on this machine that SERIAL1 sends to, for the payload.
-        speedup: simulated seconds per second.
-        home: latitude and longitude in degrees, altitude above mean sea level in metres, heading in degrees.
-        parameters: autopilot parameters in addition to the parameter file.
-    """
-
-    binary: Path
-    ground_port: int
-    payload_port: int
-    speedup: float
-    home: tuple[float, float, float, float]
-    parameters: Mapping[str, float]
+_WHAT = f"{arducopter.WHAT}, or {px4.WHAT}"
 
 
 def sitl_binary(named: str | None) -> Path:
     """The binary given by the user or by the environment.
 
     Args:
-        named: value of `--sitl`; None or "" selects the environment variable.
+        named: value of `--sitl`; None or "" selects the environment variables.
 
     Raises:
         UsageError: there is none, or it is not executable.
     """
-    text = named or os.environ.get(BINARY_VARIABLE, "")
+    source, text = "--sitl", named or ""
     if not text:
-        raise UsageError(f"--sitl: no binary given; name {_WHAT}, here or in the environment as {BINARY_VARIABLE}")
-    path, source = Path(text).expanduser(), "--sitl" if named else BINARY_VARIABLE
+        source, text = next(((name, value) for name in BINARY_VARIABLES if (value := os.environ.get(name))), ("", ""))
+    if not text:
+        variables = " or ".join(BINARY_VARIABLES)
+        raise UsageError(f"--sitl: no binary given; name {_WHAT}, here or in the environment as {variables}")
+    path = Path(text).expanduser()
     if not path.exists():
         problem = "no such file"
     elif not path.is_file():
@@ -72,13 +53,9 @@ def sitl_binary(named: str | None) -> Path:
     raise UsageError(f"{source} {text}: {problem}; expected {_WHAT}")
 
 
-def free_udp_ports(count: int) -> list[int]:
-    """Different UDP ports that are currently unused."""
-    with contextlib.ExitStack() as stack:
-        probes = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(count)]
-        for probe in probes:
-            probe.bind(("127.0.0.1", 0))
-        return [int(probe.getsockname()[1]) for probe in probes]
+def firmware_of(binary: Path) -> Firmware:
+    """The autopilot that a binary is."""
+    return px4.Px4() if px4.is_px4(binary) else arducopter.ArduCopter()
 
 
 class SitlProcess:
@@ -122,11 +99,12 @@ class SitlProcess:
 
     async def stop(self) -> None:
         """Terminate it; kill it after a timeout."""
-        for end in (self._process.terminate, self._process.kill):
+        for end in (signal.SIGTERM, signal.SIGKILL):
             if self._process.returncode is not None:
                 return
             with contextlib.suppress(ProcessLookupError):
-                end()
+                # the whole group: PX4 starts its modules from a shell
+                os.killpg(self._process.pid, end)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_TERM_S):
                     await self._process.wait()
@@ -134,51 +112,34 @@ class SitlProcess:
 
 @contextlib.asynccontextmanager
 async def running_sitl(options: SitlOptions) -> AsyncIterator[SitlProcess]:
-    """ArduCopter in SITL, in its own temporary directory, while the block runs."""
+    """An autopilot in SITL, in its own temporary directory, while the block runs."""
     with tempfile.TemporaryDirectory(prefix="panoexec-sitl-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
-        command = _command(options, defaults=_write_parameters(folder, options.parameters))
-        with (folder / _LOG).open("wb") as log:
-            process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-I", "-S", tether.__file__, str(os.getpid())),
-                *command,
-                cwd=folder,
-                stdin=asyncio.subprocess.DEVNULL,
-                stdout=log,
-                stderr=asyncio.subprocess.STDOUT,
-                # the parent handles Ctrl-C: it ends the mission first and the vehicle after it
-                start_new_session=True,
-            )
-        sitl = SitlProcess(process, options, folder)
+        launch = firmware_of(options.binary).launch(folder, options)
         try:
-            yield sitl
+            async with _started(launch, options, folder) as sitl:
+                yield sitl
         finally:
-            await asyncio.shield(sitl.stop())
+            for path in launch.leaves:
+                path.unlink(missing_ok=True)
 
 
-def _write_parameters(folder: Path, parameters: Mapping[str, float]) -> str:
-    """The parameter files, in order of increasing precedence."""
-    shipped, added = folder / PARAMETER_FILE, folder / "run.parm"
-    text = (importlib.resources.files("panoexec.dryrun") / PARAMETER_FILE).read_text(encoding="utf-8")
-    shipped.write_text(text, encoding="utf-8")
-    added.write_text("".join(f"{name} {value:g}\n" for name, value in parameters.items()), encoding="utf-8")
-    return f"{shipped.name},{added.name}"
-
-
-def _command(options: SitlOptions, *, defaults: str) -> list[str]:
-    rc_port, irlock_port = free_udp_ports(2)
-    latitude_deg, longitude_deg, altitude_m, heading_deg = options.home
-    return [
-        str(options.binary),
-        *("--model", "+"),
-        "--wipe",
-        *("--speedup", f"{options.speedup:g}"),
-        *("--home", f"{latitude_deg:.7f},{longitude_deg:.7f},{altitude_m:.2f},{heading_deg:.1f}"),
-        *("--defaults", defaults),
-        *("--serial0", f"udpclient:127.0.0.1:{options.ground_port}"),
-        *("--serial1", f"udpclient:127.0.0.1:{options.payload_port}"),
-        *("--serial2", "none"),
-        # it binds these ports whether they are used or not
-        *("--rc-in-port", str(rc_port)),
-        *("--irlock-port", str(irlock_port)),
-    ]
+@contextlib.asynccontextmanager
+async def _started(launch: Launch, options: SitlOptions, folder: Path) -> AsyncIterator[SitlProcess]:
+    with (folder / _LOG).open("wb") as log:
+        process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-I", "-S", tether.__file__, str(os.getpid())),
+            *launch.command,
+            cwd=folder,
+            env=os.environ | launch.environment,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=log,
+            stderr=asyncio.subprocess.STDOUT,
+            # the parent handles Ctrl-C: it ends the mission first and the vehicle after it
+            start_new_session=True,
+        )
+    sitl = SitlProcess(process, options, folder)
+    try:
+        yield sitl
+    finally:
+        await asyncio.shield(sitl.stop())

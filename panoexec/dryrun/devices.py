@@ -75,7 +75,7 @@ async def devices_on(
         if not rig.must_fly:
             yield devices, rig
             return
-        pilot = MavsdkPilot(link, vehicle, clock=clock)
+        pilot = MavsdkPilot(link, vehicle, clock=clock, px4=rig.about.get("autopilot") == "px4")
         if follower is not None and rig.may_slow:
             follower.govern(vehicle_under_test.speedup, pilot.set_speed)
         note("waiting for GPS and estimator, then taking off")

@@ -1,4 +1,4 @@
-"""A pilot for simulated flights: arms an ArduCopter SITL, takes off, lands.
+"""A pilot for simulated flights: arms an ArduCopter or PX4 in SITL, takes off, lands.
 
 It is not used on real vehicles: a mission starts with a vehicle that hovers already.
 """
@@ -39,6 +39,8 @@ _STILL_REAL_S: Final = 10.0
 _EARTH_M: Final = 6_371_000.0
 _LEAST_REAL_S: Final = 60.0
 """Minimum of all timeouts in real time: a simulation may not reach its requested speed-up."""
+_REFUSALS: Final = ("Arm: ", "PreArm: ", "Arming denied", "Preflight Fail")
+"""How ArduPilot and PX4 begin the STATUSTEXT that says why the vehicle cannot be armed."""
 _MULTIROTORS: Final = frozenset({2, 3, 4, 13, 14, 15, 29})
 """MAV_TYPE: quadrotor, coaxial, helicopter, hexa-, octo-, tri- and dodecarotor."""
 
@@ -46,16 +48,19 @@ _log = structlog.get_logger(__name__)
 
 
 class MavsdkPilot:
-    """Flies an ArduCopter in simulation."""
+    """Flies a multirotor in simulation."""
 
-    def __init__(self, link: MavsdkLink, vehicle: Vehicle, *, clock: Clock) -> None:
-        """Args: the link and the vehicle, both entered; the clock of the timeouts."""
+    def __init__(self, link: MavsdkLink, vehicle: Vehicle, *, clock: Clock, px4: bool = False) -> None:
+        """Args: the link and the vehicle, both entered; the clock of the timeouts; whether PX4 flies it."""
         self._link = link
         self._vehicle = vehicle
         self._clock = clock
+        self._px4 = px4
 
     async def take_off(self, height_m: float = 30.0, *, timeout_s: float = 180.0) -> None:
-        """Arm in GUIDED as soon as the autopilot permits, climb, and return when the vehicle hovers.
+        """Arm as soon as the autopilot permits, climb, and return when the vehicle hovers.
+
+        ArduCopter climbs and hovers in GUIDED; PX4 goes from its take-off mode to HOLD by itself.
 
         Args:
             height_m: above the take-off point.
@@ -69,13 +74,26 @@ class MavsdkPilot:
             raise DeviceError(f"the vehicle is not a multirotor (MAV_TYPE {kind}); a panorama needs one that hovers")
         with self._listening() as said:
             await self._wait_gps(timeout_s)
-            await self._must(DO_SET_MODE, [_CUSTOM_MODE, _COPTER_GUIDED], "changing to GUIDED")
-            await self._arm(timeout_s, said)
-            await self._must(NAV_TAKEOFF, [0, 0, 0, 0, 0, 0, height_m], "taking off")
+            if self._px4:
+                await self._climb_px4(height_m, timeout_s, said)
+            else:
+                await self._must(DO_SET_MODE, [_CUSTOM_MODE, _COPTER_GUIDED], "changing to GUIDED")
+                await self._arm(timeout_s, said)
+                await self._must(NAV_TAKEOFF, [0, 0, 0, 0, 0, 0, height_m], "taking off")
             enough_m = _HEIGHT_FRAC * height_m
             await self._wait(lambda: self._vehicle.status.relative_altitude_m >= enough_m, timeout_s, "climbing")
+            if self._px4:
+                await self._wait(lambda: self._vehicle.status.mode == "HOLD", timeout_s, "changing to HOLD")
             await self._wait_still()
         _log.info("hovering", height_m=self._vehicle.status.relative_altitude_m)
+
+    async def _climb_px4(self, height_m: float, timeout_s: float, said: list[str]) -> None:
+        action = self._link.requests.plugin(Action)
+        await self._link.requests.mavsdk_call(
+            "setting the take-off height", lambda: action.set_takeoff_altitude(height_m)
+        )
+        await self._arm(timeout_s, said)
+        await self._link.requests.mavsdk_call("taking off", action.takeoff)
 
     async def go_to(
         self, latitude_deg: float, longitude_deg: float, altitude_m: float, heading_deg: float = float("nan")
@@ -136,7 +154,7 @@ class MavsdkPilot:
 
         def hear(message: MavMessage) -> None:
             text = str(message.fields.get("text", "")).strip()
-            if message.component_id == AUTOPILOT and text.startswith(("Arm: ", "PreArm: ")):
+            if message.component_id == AUTOPILOT and text.startswith(_REFUSALS):
                 said[:] = [*(known for known in said if known != text), text][-3:]
 
         off = self._link.on("STATUSTEXT", hear)

@@ -12,7 +12,8 @@ from typing import Any, Protocol
 
 from panoexec.adapters.link.connection_url import parse_connection
 from panoexec.clock import Clock, SystemClock, VehicleClock
-from panoexec.dryrun.autopilot import SitlOptions, free_udp_ports, running_sitl
+from panoexec.dryrun.autopilot import firmware_of, running_sitl
+from panoexec.dryrun.firmware import Firmware, SitlOptions, free_udp_ports
 from panoexec.dryrun.lockstep import Allow
 from panoexec.errors import DeviceError, PanoexecError, UsageError
 from panoexec.sim.config import SimConfig
@@ -22,13 +23,9 @@ from panoexec.sim.process import SimulatorProcess, running_simulator
 Note = Callable[[str], None]
 HOST = "127.0.0.1"
 SIMULATED_SYSTEM = 1
-"""MAVLink system id of the embedded vehicle, and of an ArduPilot SITL with its default parameters."""
-SHUTTER_OUTPUT = 9
-"""The servo output of the camera trigger; the motors use the first ones."""
+"""MAVLink system id of the embedded vehicle, and of an autopilot in SITL as a dry-run starts it."""
 _CAMERA_FAULTS = frozenset({"photo-lost", "photo-refused", "capture-lost", "capture-twice", "storage-full"})
 """Faults of a camera that sends its own messages."""
-FULL_WIND_M = 25
-"""Height from which the wind has its full speed, metres."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +106,7 @@ class EmbeddedVehicle:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SitlVehicle:
-    """ArduCopter SITL with our payload on its second serial port; it must be flown.
+    """ArduCopter or PX4 in SITL with our payload on its second MAVLink port; it must be flown.
 
     Attributes:
         binary: from `sitl_binary`.
@@ -126,6 +123,12 @@ class SitlVehicle:
             UsageError: names the setting.
         """
         check_payload_only(self.simulation, option="--sitl")
+        self.firmware.parameters(self.simulation)
+
+    @property
+    def firmware(self) -> Firmware:
+        """The autopilot that the binary is."""
+        return firmware_of(self.binary)
 
     @property
     def speedup(self) -> float:
@@ -140,6 +143,7 @@ class SitlVehicle:
     async def running(self, *, images: Path | None, note: Note) -> AsyncIterator[Rig]:
         """See `VehicleUnderTest.running`."""
         ground_port, payload_port = free_udp_ports(2)
+        firmware = self.firmware
         payload = replace(self.simulation, attach_url=f"udpin:{HOST}:{payload_port}", output=images)
         airframe = self.simulation.airframe
         options = SitlOptions(
@@ -148,16 +152,21 @@ class SitlVehicle:
             payload_port=payload_port,
             speedup=self.speedup,
             home=(airframe.latitude_deg, airframe.longitude_deg, airframe.home_altitude_m, airframe.heading_deg),
-            parameters=wind_parameters(self.simulation) | payload_parameters(self.simulation),
+            parameters=firmware.parameters(self.simulation),
         )
-        about = {"autopilot": "ardupilot", "simulated": "sitl", "binary": str(self.binary), "seed": payload.seed}
+        about = {"autopilot": firmware.kind, "simulated": "sitl", "binary": str(self.binary), "seed": payload.seed}
         async with (
             running_simulator(payload, note=note) as simulator,
             running_sitl(options) as sitl,
             _watching(_watch(simulator), sitl.watch()),
         ):
-            connection = f"udpin://{HOST}:{ground_port}"
-            yield Rig(connection=connection, system_id=SIMULATED_SYSTEM, must_fly=True, may_slow=True, about=about)
+            yield Rig(
+                connection=f"udpin://{HOST}:{ground_port}",
+                system_id=SIMULATED_SYSTEM,
+                must_fly=True,
+                may_slow=firmware.may_slow,
+                about=about,
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -206,39 +215,6 @@ class ConnectedVehicle:
             yield replace(rig, about=rig.about | {"simulated": "payload", "seed": payload.seed})
 
 
-def wind_parameters(simulation: SimConfig) -> dict[str, float]:
-    """SITL's wind parameters: gusts of an eighth of the mean speed, and less wind near the ground.
-
-    With full wind down to the ground, an ArduCopter that tilts against it does not detect the landing (measured at
-    8 m/s).
-    """
-    airframe = simulation.airframe
-    return {
-        "SIM_WIND_T": 0,  # proportional to the square root of the height, up to SIM_WIND_T_ALT
-        "SIM_WIND_T_ALT": FULL_WIND_M,
-        "SIM_WIND_SPD": airframe.wind_m_s,
-        "SIM_WIND_DIR": airframe.wind_from_deg,
-        "SIM_WIND_TURB": airframe.wind_m_s / 8,
-    }
-
-
-def payload_parameters(simulation: SimConfig) -> dict[str, float]:
-    """Autopilot parameters for a payload that differs from the default.
-
-    A pan range of 0 to 0 tells ArduPilot that the mount has two axes. A camera on a servo is triggered by an output of
-    the autopilot, which is the only component to report it (CAMERA_FEEDBACK).
-    """
-    gimbal = simulation.gimbal
-    parameters: dict[str, float] = {}
-    if not gimbal.yaw_endless:
-        parameters |= {"MNT1_YAW_MIN": gimbal.yaw.min_deg, "MNT1_YAW_MAX": gimbal.yaw.max_deg}
-    if simulation.camera_kind == "servo":
-        parameters |= {"CAM1_TYPE": 1.0, f"SERVO{SHUTTER_OUTPUT}_FUNCTION": 10.0}
-        if simulation.camera.trigger_min_s:
-            parameters["CAM1_INTRVAL_MIN"] = simulation.camera.trigger_min_s
-    return parameters
-
-
 def check_payload_only(simulation: SimConfig, *, option: str) -> None:
     """Reject settings of the simulated autopilot for a vehicle with a real one.
 
@@ -250,8 +226,8 @@ def check_payload_only(simulation: SimConfig, *, option: str) -> None:
             raise UsageError(f"--fault {spec.name}: only available with the embedded autopilot, not with {option}")
         if spec.name in _CAMERA_FAULTS and simulation.camera_kind == "servo":
             raise UsageError(f"--fault {spec.name}: with --trigger servo the autopilot of {option} reports the photos")
-    if simulation.autopilot != "ardupilot":
-        raise UsageError(f"--autopilot {simulation.autopilot}: {option} is an ArduPilot")
+    if simulation.autopilot != SimConfig().autopilot:
+        raise UsageError(f"--autopilot {simulation.autopilot}: the autopilot of {option} is what it is")
     if simulation.mount != "mavlink":
         raise UsageError(f"--mount {simulation.mount} is only available with the embedded autopilot, not with {option}")
 

@@ -21,7 +21,9 @@ from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import SystemClock
 from panoexec.devices import EvidenceLevel
-from panoexec.dryrun.autopilot import BINARY_VARIABLE, SitlOptions, free_udp_ports, running_sitl, sitl_binary
+from panoexec.dryrun.arducopter import BINARY_VARIABLE
+from panoexec.dryrun.autopilot import running_sitl, sitl_binary
+from panoexec.dryrun.firmware import SitlOptions, free_udp_ports
 from panoexec.dryrun.pilot import MavsdkPilot
 from panoexec.dryrun.rigs import SitlVehicle
 from panoexec.mission.pointing.poses import read_pose

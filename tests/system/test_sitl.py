@@ -17,7 +17,9 @@ from typing import Any
 
 import pytest
 
-from panoexec.dryrun.autopilot import BINARY_VARIABLE, free_udp_ports, sitl_binary
+from panoexec.dryrun.arducopter import BINARY_VARIABLE
+from panoexec.dryrun.autopilot import sitl_binary
+from panoexec.dryrun.firmware import free_udp_ports
 from panoexec.sim.config import AirframeConfig
 from tests.repository import ROOT
 from tests.system.dry_runs import accepted, dry_run, flown, under_way

@@ -15,7 +15,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from panoexec.dryrun.autopilot import SitlOptions, free_udp_ports, running_sitl, sitl_binary
+from panoexec.dryrun.autopilot import running_sitl, sitl_binary
+from panoexec.dryrun.firmware import SitlOptions, free_udp_ports
 from panoexec.sim.config import SimConfig
 from panoexec.sim.mavlink.dialect import mavlink
 from tests.wire.sim_peer import EmbeddedPeer, Heard, Peer, UdpPeer, command, result_of

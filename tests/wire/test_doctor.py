@@ -16,7 +16,8 @@ from panoexec.clock import SystemClock
 from panoexec.doctor.findings import Findings
 from panoexec.doctor.run_checks import run_checks
 from panoexec.doctor.vehicle import check_vehicle
-from panoexec.dryrun.autopilot import BINARY_VARIABLE, sitl_binary
+from panoexec.dryrun.arducopter import BINARY_VARIABLE
+from panoexec.dryrun.autopilot import sitl_binary
 from panoexec.dryrun.rigs import SitlVehicle
 from panoexec.inputs.config import Config, load_config
 from panoexec.sim.config import CameraConfig, SimConfig

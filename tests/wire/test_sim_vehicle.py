@@ -283,3 +283,21 @@ def test_a_seed_gives_the_same_run_down_to_the_bytes_of_the_physics() -> None:
 
     assert run(5) == run(5)
     assert run(5) != run(6)
+
+
+def test_an_attached_payload_answers_the_request_to_all_by_which_px4_looks_for_a_gimbal() -> None:
+    peer = EmbeddedPeer(SimConfig(attach_url="udpin:127.0.0.1:1"))
+    request = mavlink.MAVLink_command_long_message(
+        0, 0, REQUEST, 0, mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_INFORMATION, 0, 0, 0, 0, 0, 0
+    )
+    heard = ask(peer, request, component=154)[1]
+    (information,) = named(heard, "GIMBAL_DEVICE_INFORMATION", 154)
+    assert math.degrees(information.pitch_min) == pytest.approx(-90.05)
+    assert result_of(heard, REQUEST, 154) == ACCEPTED
+
+
+def test_nobody_answers_a_request_to_all_for_what_it_does_not_have() -> None:
+    peer = EmbeddedPeer(SimConfig(attach_url="udpin:127.0.0.1:1"))
+    request = mavlink.MAVLink_command_long_message(0, 0, REQUEST, 0, 412, 0, 0, 0, 0, 0, 0)
+    heard = ask(peer, request)[1]
+    assert not [item for item in heard if item.name == "COMMAND_ACK"]

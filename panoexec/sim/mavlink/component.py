@@ -165,6 +165,19 @@ class Component:
             return self.request(int(command.params[0]), unknown_message)
         return None
 
+    def is_request_to_all(self, message: Message) -> bool:
+        """Whether a message asks every component for a message that this one has.
+
+        PX4 looks for gimbals in this way (REQUEST_MESSAGE for 283 to 0/0). Whoever has nothing to send stays silent.
+        """
+        return (
+            message.get_type() == "COMMAND_LONG"
+            and message.command == mavlink.MAV_CMD_REQUEST_MESSAGE
+            and self.is_for_me(message)
+            and message.target_component == 0
+            and int(message.param1) in self.builders
+        )
+
     def request(self, message_id: int, unknown: int = mavlink.MAV_RESULT_UNSUPPORTED) -> int:
         """Send one message on request; the caller sends the acknowledgement afterwards."""
         build = self.builders.get(message_id)

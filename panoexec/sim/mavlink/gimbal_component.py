@@ -118,7 +118,9 @@ class GimbalComponent:
                 rate = getattr(message, "angular_velocity_z", 0.0)
                 self.vehicle_yaw_rate_deg_s = math.degrees(rate) if math.isfinite(rate) else 0.0
                 self.vehicle_yaw_time_s = self._timeline.now_s
-        elif self._component.is_addressed(message) and (command := command_of(message)) is not None:
+        elif (command := command_of(message)) is not None and (
+            self._component.is_addressed(message) or self._component.is_request_to_all(message)
+        ):
             self._command(command)
 
     def _command(self, command: Command) -> None:

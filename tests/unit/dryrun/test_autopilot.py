@@ -12,14 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from panoexec.dryrun.autopilot import (
-    BINARY_VARIABLE,
-    PARAMETER_FILE,
-    SitlOptions,
-    free_udp_ports,
-    running_sitl,
-    sitl_binary,
-)
+from panoexec.dryrun.arducopter import BINARY_VARIABLE, PARAMETER_FILE
+from panoexec.dryrun.autopilot import running_sitl, sitl_binary
+from panoexec.dryrun.firmware import SitlOptions, free_udp_ports
 from panoexec.errors import DeviceError, UsageError
 from tests.repository import ROOT
 from tests.waiting import wait_until
@@ -76,6 +71,9 @@ def test_a_binary_is_taken_from_the_option_or_the_environment(tmp_path: Path, mo
     assert sitl_binary(str(named)) == named
     assert sitl_binary(None) == sitl_binary("") == other
     monkeypatch.delenv(BINARY_VARIABLE)
+    monkeypatch.setenv("PX4_SITL", str(named))
+    assert sitl_binary(None) == named
+    monkeypatch.delenv("PX4_SITL")
     with pytest.raises(UsageError, match=BINARY_VARIABLE):
         sitl_binary(None)
 
@@ -164,7 +162,8 @@ def test_it_does_not_outlive_a_parent_that_is_killed(tmp_path: Path) -> None:
     parent = textwrap.dedent(f"""
         import asyncio
         from pathlib import Path
-        from panoexec.dryrun.autopilot import SitlOptions, running_sitl
+        from panoexec.dryrun.autopilot import running_sitl
+        from panoexec.dryrun.firmware import SitlOptions
         async def main():
             async with running_sitl(SitlOptions(binary=Path({str(stubborn)!r}), ground_port=1, payload_port=2,
                                                 speedup=1, home=(0, 0, 0, 0), parameters={{}})) as sitl:

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from panoexec.dryrun.rigs import ConnectedVehicle, EmbeddedVehicle, SitlVehicle, payload_parameters, wind_parameters
+from panoexec.dryrun.arducopter import payload_parameters, wind_parameters
+from panoexec.dryrun.rigs import ConnectedVehicle, EmbeddedVehicle, SitlVehicle
 from panoexec.errors import DeviceError, UsageError
 from panoexec.sim.config import AirframeConfig, AxisConfig, GimbalConfig, SimConfig
 from panoexec.sim.faults import AUTOPILOT_FAULTS, parse_fault

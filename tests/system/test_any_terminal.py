@@ -1,0 +1,74 @@
+"""Whatever a terminal or a pipe is like, a command's result arrives or nothing is said."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from panoexec.cli.app import COMMANDS
+from tests.repository import ROOT
+
+PLAN = ("plan", "--camera", "dji-x5s-15mm", "--elevation", "-10", "10")
+LINES: list[tuple[str, ...]] = [
+    *((name, "--help") for name in COMMANDS),
+    PLAN,
+    ("cameras",),
+    ("cameras", "dji-x5s-15mm"),
+    ("verify", "scenario-1-hdrpano"),
+]
+
+
+def command(arguments: tuple[str, ...], **environment: str) -> tuple[list[str], dict[str, str]]:
+    return [sys.executable, "-m", "panoexec", *arguments], os.environ | environment
+
+
+def run(arguments: tuple[str, ...], encoding: str) -> subprocess.CompletedProcess[bytes]:
+    argv, environment = command(arguments, PYTHONIOENCODING=encoding)
+    return subprocess.run(argv, capture_output=True, cwd=ROOT, env=environment, check=False, timeout=60)
+
+
+@pytest.mark.parametrize("arguments", LINES[len(COMMANDS) :], ids=" ".join)
+def test_an_encoding_costs_no_result(arguments: tuple[str, ...]) -> None:
+    whole = run(arguments, "utf-8")
+    plain = run(arguments, "ascii")
+    assert plain.returncode == whole.returncode
+    assert b"internal error" not in plain.stderr
+    assert len(plain.stdout.splitlines()) == len(whole.stdout.splitlines())
+    if "°" in whole.stdout.decode():
+        assert "deg" in plain.stdout.decode("ascii")
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "latin-1"])
+def test_a_western_code_page_is_used_as_far_as_it_goes(encoding: str) -> None:
+    done = run(("cameras", "dji-x5s-15mm"), encoding)
+    assert done.returncode == 0
+    assert "59.94°" in done.stdout.decode(encoding)
+
+
+def test_json_says_the_same_in_ascii(tmp_path: Path) -> None:
+    profile = tmp_path / "kamera.toml"
+    shipped = (ROOT / "panoexec/profiles/dji-x5s-15mm.toml").read_text(encoding="utf-8")
+    profile.write_text(shipped.replace('"DJI', '"Größe → ° DJI', 1), encoding="utf-8")
+    documents = [json.loads(run(("cameras", str(profile), "--json"), name).stdout) for name in ("utf-8", "ascii")]
+    assert documents[0] == documents[1]
+    assert "Größe → °" in json.dumps(documents[0], ensure_ascii=False)
+
+
+@pytest.mark.parametrize("arguments", LINES, ids=" ".join)
+def test_a_reader_that_has_gone_is_no_error(arguments: tuple[str, ...]) -> None:
+    argv, environment = command(arguments)
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        done = subprocess.run(
+            argv, stdout=writer, stderr=subprocess.PIPE, cwd=ROOT, env=environment, check=False, timeout=60
+        )
+    finally:
+        os.close(writer)
+    assert done.stderr == b""
+    assert done.returncode in {0, 1}
