@@ -6,6 +6,7 @@ from panoexec.sim import settings
 from panoexec.sim.camera_kinds import CAMERA_KINDS
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import FAULTS
+from panoexec.sim.gimbal_kinds import GIMBAL_KINDS
 from tests.repository import ROOT
 
 TEXT = (ROOT / "docs" / "simulator.md").read_text(encoding="utf-8")
@@ -31,7 +32,16 @@ def test_every_fault_is_documented_with_its_text_and_size() -> None:
         assert documented[name][2] == (f"{fault.size:g} {fault.unit}" if fault.unit else "")
 
 
-def test_every_kind_of_camera_is_documented_with_its_text() -> None:
-    section = TEXT[TEXT.index("## Kinds of cameras") : TEXT.index("## Payload of a real ArduPilot")]
+def kinds(heading: str) -> dict[str, str]:
+    """Names and texts of the table below a heading."""
+    section = TEXT[TEXT.index(f"## {heading}") :].split("\n## ", 1)[0]
     rows = [line.strip("| ").split(" | ") for line in section.splitlines() if line.startswith("| `")]
-    assert {name.strip("`"): text for name, text in rows} == {name: kind.text for name, kind in CAMERA_KINDS.items()}
+    return {name.strip("`"): text for name, text in rows}
+
+
+def test_every_kind_of_camera_is_documented_with_its_text() -> None:
+    assert kinds("Kinds of cameras") == {name: kind.text for name, kind in CAMERA_KINDS.items()}
+
+
+def test_every_kind_of_gimbal_is_documented_with_its_text() -> None:
+    assert kinds("Kinds of gimbals") == {name: kind.text for name, kind in GIMBAL_KINDS.items()}
