@@ -106,7 +106,7 @@ def _dispatch(argv: list[str]) -> int:
     if not argv or argv[0] in {"-h", "--help", "help"}:
         print(_overview())
         return EXIT_DONE if argv else UsageError.exit_code
-    if argv[0] in {"-V", "--version"}:
+    if argv[0] in {"-V", "--version", "version"}:
         print(f"panoexec {panoexec.__version__}")
         return EXIT_DONE
     name, rest = argv[0], argv[1:]
@@ -115,6 +115,7 @@ def _dispatch(argv: list[str]) -> int:
         raise UsageError(_unknown_command(name))
     module = _load(name, command)
     parser = parser_of(name, module)
+    _check_options(parser, rest)
     try:
         # some commands accept options between their positional arguments
         parse = parser.parse_intermixed_args if getattr(module, "INTERMIXED", False) else parser.parse_args
@@ -122,6 +123,23 @@ def _dispatch(argv: list[str]) -> int:
     except SystemExit as done:  # --help
         return int(done.code or 0)
     return int(module.run(args))
+
+
+def _check_options(parser: Parser, words: Sequence[str]) -> None:
+    """Name an unknown option before anything else: argparse would first tell what is missing because of it.
+
+    Raises:
+        UsageError: with the option that is nearest.
+    """
+    known = [option for action in parser._actions for option in action.option_strings]  # noqa: SLF001
+    for word in words:
+        option = word.partition("=")[0]
+        if word == "--":
+            return
+        if word.startswith("--") and option not in known:
+            near = difflib.get_close_matches(option, known, n=1)
+            hint = f": did you mean {near[0]}?" if near else ""
+            raise UsageError(f"unknown option {option}{hint} (see {parser.prog} --help)")
 
 
 def parser_of(name: str, module: Any) -> Parser:

@@ -12,12 +12,14 @@ from pathlib import Path
 
 from panoexec.cli.output import note, print_facts, print_json
 from panoexec.cli.serve import checked_config
-from panoexec.errors import InputFileError
+from panoexec.errors import InputFileError, UsageError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
-    parser.add_argument("config", type=Path, metavar="FILE", help="configuration file")
+    # other commands take the file as an option, and so does this one
+    parser.add_argument("file", type=Path, metavar="FILE", nargs="?", help="configuration file")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="the same as an option")
     parser.add_argument(
         "--json",
         action="store_true",
@@ -27,8 +29,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check the configuration and print the result."""
+    if (args.file is None) == (args.config is None):
+        raise UsageError("name one configuration file: panoexec check-config FILE")
+    path = args.file or args.config
     try:
-        config = checked_config(args.config, os.environ)
+        config = checked_config(path, os.environ)
     except InputFileError as error:
         if args.json:
             print_json({"file": error.source, "ok": False, "problems": error.problems})
@@ -37,12 +42,12 @@ def run(args: argparse.Namespace) -> int:
             note(f"panoexec: {error.source}: {problem}")
         return error.exit_code
     if args.json:
-        print_json({"file": str(args.config), "ok": True, "problems": [], "config": config.model_dump(mode="json")})
+        print_json({"file": str(path), "ok": True, "problems": [], "config": config.model_dump(mode="json")})
         return 0
     broker = "none" if config.mqtt.host is None else f"{config.mqtt.host}:{config.mqtt.port}"
     print_facts(
         [
-            ("config", f"{args.config} is valid"),
+            ("config", f"{path} is valid"),
             ("vehicle", f"{config.vehicle.id} on {config.vehicle.connection or f'serial {config.vehicle.serial}'}"),
             ("camera", config.camera.profile),
             ("broker", broker),

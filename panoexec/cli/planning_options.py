@@ -35,8 +35,17 @@ def number(text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number{_as_fraction(text)}")
     return value
+
+
+def _as_fraction(text: str) -> str:
+    if not text.endswith("%"):
+        return ""
+    try:
+        return f": write {float(text[:-1]) / 100:g}"
+    except ValueError:
+        return ""
 
 
 def positive(text: str) -> float:

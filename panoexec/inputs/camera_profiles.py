@@ -69,6 +69,15 @@ class _ProfileModel(BaseModel):
     max_exposure_s: Annotated[Seconds, Field(gt=0)] = 0.02
     source: Annotated[str, Field(min_length=1, max_length=2000)]
 
+    @field_validator("focal_length_mm", mode="before")
+    @classmethod
+    def _one_length(cls, value: object) -> object:
+        if isinstance(value, list):
+            raise ValueError(  # noqa: TRY004  (pydantic reports it with the key)
+                f"{value} is more than one length: use zoom_range_mm = [shortest, longest] for a zoom lens"
+            )
+        return value
+
     @field_validator("zoom_range_mm")
     @classmethod
     def _rising(cls, value: list[float] | None) -> list[float] | None:
@@ -202,7 +211,7 @@ def _profile(
     try:
         model = _ProfileModel.model_validate(dict(data))
     except ValidationError as error:
-        problems = problem_lines(error)
+        problems = problem_lines(error, _ProfileModel)
         if not {"focal_length_mm", "zoom_range_mm"} & data.keys() and _NO_FOCAL_LENGTH not in problems:
             # conditions on several keys are only checked if each key is valid
             problems.append(_NO_FOCAL_LENGTH)

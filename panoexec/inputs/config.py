@@ -305,7 +305,7 @@ def load_config(path: Path, environment: Mapping[str, str]) -> Config:
     try:
         config = Config.model_validate(tables)
     except ValidationError as error:
-        raise InputFileError(str(path), problems + problem_lines(error)) from error
+        raise InputFileError(str(path), problems + problem_lines(error, Config)) from error
     if problems:
         raise InputFileError(str(path), problems)
     return config

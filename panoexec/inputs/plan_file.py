@@ -188,7 +188,7 @@ def plan_from_data(data: object, *, source: str) -> PlanFile:
     try:
         model = _PlanModel.model_validate(data)
     except ValidationError as error:
-        raise InputFileError(source, problem_lines(error)) from error
+        raise InputFileError(source, problem_lines(error, _PlanModel)) from error
     methods: tuple[Method, ...] = ("certified", "paper", "hdrpano", "published")
     return PlanFile(
         source=source,

@@ -2,35 +2,64 @@
 
 from __future__ import annotations
 
+import difflib
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from panoexec.errors import InputFileError
 
 _LONGEST_VALUE = 60
 
 
-def problem_lines(error: ValidationError) -> list[str]:
-    """One line for each problem: `key: value is wrong because …`."""
-    return [_line(dict(problem)) for problem in error.errors(include_url=False)]
+def problem_lines(error: ValidationError, model: type[BaseModel] | None = None) -> list[str]:
+    """One line for each problem: `key: value is wrong because …`.
+
+    Args:
+        error: the problems.
+        model: what was validated: unknown keys get the known one that is nearest.
+    """
+    return [_line(dict(problem), model) for problem in error.errors(include_url=False)]
 
 
-def _line(problem: dict[str, Any]) -> str:
+def _line(problem: dict[str, Any], model: type[BaseModel] | None) -> str:
     key = dotted(problem["loc"]) or "the document"
     kind = problem["type"]
     if kind == "missing":
         return f"{key} is missing"
     if kind == "extra_forbidden":
-        return f"{key} is not a known key"
+        return f"{key} is not a known key{_hint(problem['loc'], model)}"
     if kind == "value_error":
         # raised by validators of panoexec, whose text is complete
         text = str(problem["ctx"]["error"])
         return f"{key}: {text}" if problem["loc"] else text
     message = str(problem["msg"])
     return f"{key} is {shown(problem['input'])}: {message[:1].lower()}{message[1:]}"
+
+
+def _hint(location: tuple[int | str, ...], model: type[BaseModel] | None) -> str:
+    """The known key that an unknown one is nearest to, as a question; "" if none is near."""
+    models = [model] if model is not None else []
+    for part in location[:-1]:
+        if isinstance(part, str):
+            fields = [one.model_fields[part] for one in models if part in one.model_fields]
+            models = [found for field in fields for found in _models_in(field.annotation)]
+    known = [field.alias or name for one in models for name, field in one.model_fields.items()]
+    wrong = str(location[-1])
+    near = difflib.get_close_matches(wrong, known, n=1, cutoff=0.6)
+    # a unit is what is forgotten most: `elevation` for `elevation_deg`
+    near = near or [name for name in known if name.startswith(f"{wrong}_")][:1]
+    return f": did you mean {near[0]}?" if near else ""
+
+
+def _models_in(annotation: object) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in get_args(annotation):
+        yield from _models_in(inner)
 
 
 def dotted(location: tuple[int | str, ...]) -> str:

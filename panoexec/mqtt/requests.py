@@ -334,7 +334,7 @@ def parse_request(command: str, payload: bytes, *, retained: bool = False, size:
         location = error.errors(include_url=False, include_input=False)[0]["loc"]
         raise RefusedRequestError(
             "invalid",
-            "; ".join(problem_lines(error)[:10]),
+            "; ".join(problem_lines(error, REQUESTS[command])[:10]),
             field=dotted(location) or None,
             transaction=transaction,
         ) from error

@@ -27,6 +27,11 @@ def profile(tmp_path: Path) -> Path:
         (["fly"], "unknown command 'fly'"),
         (["plam"], "did you mean 'plan'"),
         (["plan"], "--camera"),
+        (["plan", "--camra", "x"], "unknown option --camra: did you mean --camera?"),
+        ([*PLAN, "--overlap", "15%"], "'15%' is not a number: write 0.15"),
+        ([*PLAN, "--overlap", "much%"], "'much%' is not a number"),
+        (["check-config"], "name one configuration file"),
+        (["check-config", "--config", "none.toml"], "none.toml: cannot be read: there is no such file"),
         ([*PLAN, "--speed", "3"], "--speed"),
         (["plan", "--camera", "dji-x5s"], "did you mean dji-x5s-"),
         (["cameras", "nikon"], "no camera profile 'nikon'"),
@@ -177,3 +182,29 @@ def test_a_bug_is_no_traceback_either(monkeypatch: pytest.MonkeyPatch, capsys: p
     err = capsys.readouterr().err
     assert "a bug" in err
     assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("written", "says"),
+    [
+        ('[mqtt]\nhots = "x"', "mqtt.hots is not a known key: did you mean host?"),
+        ("[mission]\nelevation = [-10, 10]", "mission.elevation is not a known key: did you mean elevation_deg?"),
+        ('[vehicel]\nid = "x"', "vehicel is not a known key: did you mean vehicle?"),
+        ("[camera]\nxyzzy = 1", "camera.xyzzy is not a known key"),
+    ],
+)
+def test_an_unknown_key_of_the_configuration_gets_the_nearest_one(
+    written: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "config.toml"
+    config.write_text(written)
+    assert run(["check-config", str(config)]) == 2
+    assert capsys.readouterr().err == f"panoexec: {config}: {says}\n"
+
+
+def test_a_profile_with_two_focal_lengths_is_told_what_a_zoom_lens_needs(
+    profile: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    profile.write_text(profile.read_text().replace("focal_length_mm = 15", "focal_length_mm = [24, 105]"))
+    assert run(["plan", "--camera", str(profile)]) == 2
+    assert "use zoom_range_mm = [shortest, longest]" in capsys.readouterr().err
