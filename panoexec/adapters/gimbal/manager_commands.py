@@ -7,6 +7,7 @@ where it is not listed: MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE (1001) and MAV_CMD_D
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
@@ -90,7 +91,7 @@ class ManagerCommands:
     def _plugin(self) -> Gimbal:
         return self._link.requests.plugin(Gimbal)
 
-    async def _send(self, command: int, parameters: list[float], *, manager: int, what: str) -> None:
+    async def _send(self, command: int, parameters: Sequence[float], *, manager: int, what: str) -> None:
         result = await self._link.requests.command(command, parameters, component=manager)
         if result != 0:
             raise DeviceError(f"{what}: {MAV_RESULTS.get(result, result)}")

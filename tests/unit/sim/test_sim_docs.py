@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 from panoexec.sim import settings
 from panoexec.sim.camera_kinds import CAMERA_KINDS
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import FAULTS
+from panoexec.sim.gimbal_kinds import GIMBAL_KINDS
 from tests.repository import ROOT
 
 TEXT = (ROOT / "docs" / "simulator.md").read_text(encoding="utf-8")
@@ -35,3 +38,12 @@ def test_every_kind_of_camera_is_documented_with_its_text() -> None:
     section = TEXT[TEXT.index("## Kinds of cameras") : TEXT.index("## Payload of a real ArduPilot")]
     rows = [line.strip("| ").split(" | ") for line in section.splitlines() if line.startswith("| `")]
     assert {name.strip("`"): text for name, text in rows} == {name: kind.text for name, kind in CAMERA_KINDS.items()}
+
+
+def test_payloads_tell_what_panoexec_does_about_every_kind() -> None:
+    text = (ROOT / "docs" / "payloads.md").read_text(encoding="utf-8")
+    cameras, _, gimbals = text.partition("## Gimbals")
+    for section, kinds in ((cameras, CAMERA_KINDS), (gimbals, GIMBAL_KINDS)):
+        firsts = [line.strip("| ").split(" | ")[0] for line in section.splitlines() if line.startswith("| ")]
+        named = {name for first in firsts for name in re.findall(r"[(,] ?`([a-z0-9-]+)`(?=[,)])", first)}
+        assert set(kinds) <= named, set(kinds) - named
