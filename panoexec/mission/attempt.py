@@ -52,7 +52,9 @@ FRESH_REPORT_S = 0.15
 HELD_REPORT_S = 0.4
 """Reports are taken for so old before a slew has shown it."""
 REPORT_MARGIN_S = 0.1
-"""Reports may be so much older than a slew showed: they are renewed ten times a second."""
+"""Reports may be so much older than a slew showed."""
+HELD_MARGIN_S = 0.2
+"""The same for reports that repeat, as those that are renewed ten times a second."""
 OLDEST_REPORT_S = 2.0
 """Longest wait for the reports of an exposure. Where a slew is seen later than that, no pose is verified."""
 BEFORE_SLEW_S = 1.5
@@ -199,6 +201,8 @@ class Shooter:
         delay_s = self.echo.longest_delay_s
         if math.isnan(delay_s):
             return HELD_REPORT_S
+        if self.poses.holds:
+            return min(delay_s + HELD_MARGIN_S, OLDEST_REPORT_S)
         return min(delay_s + REPORT_MARGIN_S, OLDEST_REPORT_S) if delay_s > FRESH_REPORT_S else 0.0
 
     def _gap_s(self) -> float:

@@ -180,11 +180,6 @@ class MqttLink:
         """Run one connection until it ends."""
         async with contextlib.AsyncExitStack() as stack:
             client = await self._until_stop(self._dialer.dial(stack))
-            if self._closings and self._times and self._five and self._may_move and not client.session_present:
-                # closed without a reason, and the session is gone: another client began one with this client id
-                self._move()
-                await stack.aclose()
-                client = await self._until_stop(self._dialer.dial(stack))
             began = time.monotonic()
             await subscribe_requests(client, self.topics, five=self._five)
             round_trip_s = time.monotonic() - began

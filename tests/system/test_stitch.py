@@ -242,7 +242,7 @@ def test_tools_that_are_not_installed_or_fail(
     [
         (["/nowhere/at/all"], "no such directory"),
         ([".", "--width", "12"], "256 to 1000000 px"),
-        ([".", "--horizon", "steep"], "degrees above -90"),
+        ([".", "--horizon", "steep"], "above -90 and at most 90 degrees"),
         ([".", "--memory", "1"], "128 to 1000000 MiB"),
     ],
 )

@@ -248,12 +248,11 @@ async def stolen(port: int, identifier: str, protocol: Protocol, *, clean: bool 
         pass
 
 
-@pytest.mark.parametrize(
-    ("protocol", "clean", "thefts_felt"), [("5", True, 1), ("5", False, 1), ("3.1.1", True, 2), ("3.1.1", False, 2)]
-)
-async def test_a_client_that_takes_the_daemons_client_id_does_so_once(
-    broker: Broker, protocol: Protocol, clean: bool, thefts_felt: int
+@pytest.mark.parametrize(("protocol", "clean"), [("5", True), ("5", False), ("3.1.1", True), ("3.1.1", False)])
+async def test_a_client_that_takes_the_daemons_client_id_does_so_twice_at_most(
+    broker: Broker, protocol: Protocol, clean: bool
 ) -> None:
+    thefts_felt = 2  # this broker does not say why it closes; one closing may also be its restart
     requests: list[Incoming] = []
     name = client_id(Topics("panoexec", "drone"))
     async with ground_station(broker) as ground:
@@ -269,6 +268,19 @@ async def test_a_client_that_takes_the_daemons_client_id_does_so_once(
                 await ground.client.publish("panoexec/drone/request/get", b"{}", qos=1)
                 await eventually(lambda: requests)
     assert name in told(logs, "another client uses this client id: connecting with another one")
+
+
+async def test_a_broker_that_is_restarted_is_no_thief(tmp_path: Path) -> None:
+    """It comes back at once and has forgotten the session."""
+    with running_broker(tmp_path) as broker, structlog.testing.capture_logs() as logs:
+        async with running(a_link(broker.port, [])) as link:
+            await eventually(lambda: link.connected)
+            name = link._identifier
+            broker.stop()
+            broker.start()
+            await eventually(lambda: link._connections == 2)
+            assert link._identifier == name
+    assert not [entry for entry in logs if "another client" in entry["event"]]
 
 
 async def test_of_two_daemons_with_one_vehicle_id_only_one_may_begin_a_mission(broker: Broker) -> None:

@@ -283,56 +283,6 @@ async def test_no_attitude_comes_from_another_system(gimbal_autopilot: GimbalPee
     assert all(sample.vehicle_s < 70 for sample in gimbal.feed.since(0.0))
 
 
-def offer_own_manager(peer: GimbalPeer) -> None:
-    """The gimbal is a manager, too, as component 154, with other limits."""
-    limits = (-0.5, 0.5, -0.7, 0.3, -1.0, 1.0)
-    info = mavlink.MAVLink_gimbal_manager_information_message(peer.boot_ms(), 206847, DEVICE, *limits)
-    peer.send(info, DEVICE)
-    peer.send(mavlink.MAVLink_gimbal_manager_status_message(peer.boot_ms(), 12, DEVICE, *peer.control, 0, 0), DEVICE)
-
-
-@contextlib.asynccontextmanager
-async def two_managers(peer: GimbalPeer) -> AsyncIterator[None]:
-    async def offer() -> None:
-        while True:
-            offer_own_manager(peer)
-            await asyncio.sleep(0.1)
-
-    task = asyncio.create_task(offer())
-    try:
-        async with telling(peer, DEVICE):
-            yield
-    finally:
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
-
-
-async def test_the_autopilots_manager_is_used_and_its_limits_alone(
-    gimbal_autopilot: GimbalPeer, gimbal_link: MavsdkLink
-) -> None:
-    async with two_managers(gimbal_autopilot), MavsdkGimbal(gimbal_link) as gimbal:
-        await eventually(lambda: {one.manager for one in gimbal.candidates} == {1, DEVICE}, 15)
-        assert (await gimbal.discover()).manager_component == 1
-        await gimbal.acquire()
-        assert gimbal.limits is not None
-        assert gimbal.limits.pitch_max_deg == 28.648
-        assert {command.target_component for command in gimbal_autopilot.sent(1001)} == {1}
-
-
-async def test_the_next_manager_is_asked_when_the_autopilots_refuses(
-    gimbal_autopilot: GimbalPeer, gimbal_link: MavsdkLink
-) -> None:
-    configure = gimbal_autopilot.answers[1001]
-    gimbal_autopilot.answers[1001] = lambda command: DENIED if command.target_component == 1 else configure(command)
-    async with two_managers(gimbal_autopilot), MavsdkGimbal(gimbal_link) as gimbal:
-        await eventually(lambda: {one.manager for one in gimbal.candidates} == {1, DEVICE}, 15)
-        await gimbal.acquire()
-        assert gimbal.found is not None
-        assert (gimbal.found.manager_component, gimbal.known.device) == (DEVICE, DEVICE)
-        assert gimbal.limits is not None
-        assert gimbal.limits.pitch_max_deg == pytest.approx(17.189)
-
-
 async def test_a_configured_manager_that_is_not_there_is_named(
     gimbal_autopilot: GimbalPeer, gimbal_link: MavsdkLink
 ) -> None:

@@ -144,6 +144,7 @@ class PoseReader:
 
     LEARN_PAIRS = 50
     REPEATS_FRAC = 0.1
+    HELD_FRAC = 0.4
     FROZEN_RUN = 4
 
     def __init__(self, *, feed: AttitudeFeed, reference_yaw_north_deg: float) -> None:
@@ -164,6 +165,11 @@ class PoseReader:
         if len(self._intervals) < RATE_INTERVALS // 2:
             return math.nan
         return sorted(self._intervals)[len(self._intervals) // 2]
+
+    @property
+    def holds(self) -> bool:
+        """Whether samples are known to be repeated until something new is known: what they tell is of earlier."""
+        return self._pairs >= RATE_INTERVALS // 2 and self._repeats > self.HELD_FRAC * self._pairs
 
     @property
     def measures(self) -> bool:

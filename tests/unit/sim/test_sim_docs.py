@@ -34,16 +34,25 @@ def test_every_fault_is_documented_with_its_text_and_size() -> None:
         assert documented[name][2] == (f"{fault.size:g} {fault.unit}" if fault.unit else "")
 
 
-def test_every_kind_of_camera_is_documented_with_its_text() -> None:
-    section = TEXT[TEXT.index("## Kinds of cameras") : TEXT.index("## Payload of a real ArduPilot")]
+def kinds(heading: str) -> dict[str, str]:
+    """Names and texts of the table below a heading."""
+    section = TEXT[TEXT.index(f"## {heading}") :].split("\n## ", 1)[0]
     rows = [line.strip("| ").split(" | ") for line in section.splitlines() if line.startswith("| `")]
-    assert {name.strip("`"): text for name, text in rows} == {name: kind.text for name, kind in CAMERA_KINDS.items()}
+    return {name.strip("`"): text for name, text in rows}
+
+
+def test_every_kind_of_camera_is_documented_with_its_text() -> None:
+    assert kinds("Kinds of cameras") == {name: kind.text for name, kind in CAMERA_KINDS.items()}
+
+
+def test_every_kind_of_gimbal_is_documented_with_its_text() -> None:
+    assert kinds("Kinds of gimbals") == {name: kind.text for name, kind in GIMBAL_KINDS.items()}
 
 
 def test_payloads_tell_what_panoexec_does_about_every_kind() -> None:
     text = (ROOT / "docs" / "payloads.md").read_text(encoding="utf-8")
     cameras, _, gimbals = text.partition("## Gimbals")
-    for section, kinds in ((cameras, CAMERA_KINDS), (gimbals, GIMBAL_KINDS)):
+    for section, known in ((cameras, CAMERA_KINDS), (gimbals, GIMBAL_KINDS)):
         firsts = [line.strip("| ").split(" | ")[0] for line in section.splitlines() if line.startswith("| ")]
         named = {name for first in firsts for name in re.findall(r"[(,] ?`([a-z0-9-]+)`(?=[,)])", first)}
-        assert set(kinds) <= named, set(kinds) - named
+        assert set(known) <= named, set(known) - named
