@@ -93,6 +93,7 @@ class CaptureEvidence:
         exposed_error_s: how far `exposed_s` may be wrong; NaN where it cannot be told.
         contradiction: why this photo may be another one, "" if nothing speaks for that.
         reported_s: when the first report of the photo arrived: it was not exposed later than that; NaN without one.
+        counted_s: when the camera's count of its photos was first seen to include it; NaN if it was not.
     """
 
     level: EvidenceLevel
@@ -109,6 +110,7 @@ class CaptureEvidence:
     exposed_error_s: float = float("nan")
     contradiction: str = ""
     reported_s: float = float("nan")
+    counted_s: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -127,6 +127,17 @@ class CameraSection(Section):
     file_folders: tuple[Path, ...] = ()
     file_hosts: tuple[str, ...] = ()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _is_of_the_vehicles_system(cls, data: Any) -> Any:
+        if isinstance(data, dict) and "system" in data:
+            raise ValueError(
+                "there is no key `system`: a camera belongs to the vehicle whose MAVLink system id it has, and MAVSDK "
+                "keeps the messages of other systems apart; set the camera's own system id to that of the vehicle, "
+                "and choose between several cameras by `component`"
+            )
+        return data
+
     @field_validator("file_hosts")
     @classmethod
     def _hosts_are_hosts(cls, value: tuple[str, ...]) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from panoexec.clock import Clock
 from panoexec.devices import Camera, CaptureEvidence, EvidenceLevel, Gimbal, PendingCapture
 from panoexec.errors import DeviceError
 from panoexec.mission.attempt_result import Exposure, NotSettled, Offset, Settled
-from panoexec.mission.dated_exposure import ShutterLag, has_window, window
+from panoexec.mission.dated_exposure import ShutterLag, has_window, is_dated, window
 from panoexec.mission.pointing.echo import EchoWatch
 from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.pointing.poses import PoseReader, read_pose, to_north
@@ -50,13 +50,13 @@ LATE_SAMPLES_S = 0.5
 FRESH_REPORT_S = 0.15
 """Reports that show a slew within this time of its command are of the moment."""
 HELD_REPORT_S = 0.4
-"""Reports that repeat are taken for so old before a slew has shown it."""
+"""Reports are taken for so old before a slew has shown it."""
 REPORT_MARGIN_S = 0.1
 """Reports may be so much older than a slew showed."""
 HELD_MARGIN_S = 0.2
 """The same for reports that repeat, as those that are renewed ten times a second."""
-OLDEST_REPORT_S = 0.6
-"""Reports are not taken for older; a slow gimbal delays what they show, too."""
+OLDEST_REPORT_S = 2.0
+"""Longest wait for the reports of an exposure. Where a slew is seen later than that, no pose is verified."""
 BEFORE_SLEW_S = 1.5
 """Samples of so long before a slew are read, to know where it began: idle streams come once a second."""
 LAST_SLEEP_S = 0.05
@@ -157,6 +157,13 @@ class Shooter:
         self._observe(shot, commanded_s, settled=settled)
         if self.echo.reason:
             return NotSettled(code="echo", reason=f"the gimbal's reports are no feedback: {self.echo.reason}")
+        if self.echo.delay_s > OLDEST_REPORT_S:
+            late_s = self.echo.delay_s
+            return NotSettled(
+                code="not_settled",
+                reason=f"the gimbal's reports show a slew {late_s:.1f} s after its command: no exposure can be verified"
+                " by them; check the link and the gimbal's rate",
+            )
         if settled_s is not None:
             return Settled(commanded_s=commanded_s, settled_s=settled_s)
         why = tracker.problem
@@ -191,9 +198,11 @@ class Shooter:
 
         What happened during an exposure is seen in the reports of so much later.
         """
-        delay_s = self.echo.delay_s
+        delay_s = self.echo.longest_delay_s
+        if math.isnan(delay_s):
+            return HELD_REPORT_S
         if self.poses.holds:
-            return HELD_REPORT_S if math.isnan(delay_s) else min(delay_s + HELD_MARGIN_S, OLDEST_REPORT_S)
+            return min(delay_s + HELD_MARGIN_S, OLDEST_REPORT_S)
         return min(delay_s + REPORT_MARGIN_S, OLDEST_REPORT_S) if delay_s > FRESH_REPORT_S else 0.0
 
     def _gap_s(self) -> float:
@@ -239,8 +248,11 @@ class Shooter:
             return NotSettled(code="trigger", reason=failure)
         if not self.open_loop:
             await self.clock.sleep(self.report_age_s)
-        # until a deferred trigger was carried out, nothing was exposed
-        start_s = max(captures[0].commanded_s, fired_s[0] - DEFERRED_SLACK_S)
+        first = await captures[0].evidence(EvidenceLevel.COMMANDED, 0.0)
+        start_s = captures[0].commanded_s
+        if first.level >= EvidenceLevel.CAPTURE_MESSAGE and is_dated(first):
+            # until a deferred trigger was carried out, nothing was exposed
+            start_s = max(start_s, fired_s[0] - DEFERRED_SLACK_S)
         return Exposure(
             captures=tuple(captures),
             verdict=await self._judged(shot, start_s, end_s),

@@ -56,6 +56,8 @@ class ShutterLag:
             if 0 <= report_s <= _MAX_LAG_S:
                 self._measured_s.append(report_s)
             return ""
+        if is_only_counted(found):
+            return self._note_count(found.counted_s - commanded_s)
         if not is_dated(found) or found.level < EvidenceLevel.FEEDBACK_PIN:
             return ""
         lag_s = found.exposed_s - commanded_s
@@ -69,6 +71,19 @@ class ShutterLag:
         return (
             f"the camera exposes {lag_s:.2f} s after its trigger, [camera] latency_s is {self._configured_s:g}: "
             f"set it to {advised_s:g}"
+        )
+
+    def _note_count(self, counted_after_s: float) -> str:
+        """The photo was taken before it was counted: wait for so long."""
+        if not 0 <= counted_after_s <= _MAX_LAG_S:
+            return ""
+        self._measured_s.append(counted_after_s)
+        if self._warned or counted_after_s <= self._configured_s + _WARN_ABOVE_S:
+            return ""
+        self._warned = True
+        return (
+            "the camera counts its photos, but reports none of them: each pose is held until its photo is counted,"
+            f" {counted_after_s:.1f} s after the trigger"
         )
 
 
@@ -87,6 +102,12 @@ def is_undatable(found: CaptureEvidence) -> bool:
     return stamped and not is_dated(found)
 
 
+def is_only_counted(found: CaptureEvidence) -> bool:
+    """Whether the camera's count is all that tells of a photo: it was exposed between its trigger and its count."""
+    untold = math.isnan(found.exposed_s) and math.isnan(found.reported_s)
+    return untold and found.level == EvidenceLevel.COUNTED and math.isfinite(found.counted_s)
+
+
 def is_before(found: CaptureEvidence, commanded_s: float) -> bool:
     """Whether a photo is dated before its trigger, so that it cannot be the one that was requested."""
     return is_dated(found) and found.exposed_s + found.exposed_error_s < commanded_s
@@ -95,11 +116,13 @@ def is_before(found: CaptureEvidence, commanded_s: float) -> bool:
 def has_window(found: CaptureEvidence) -> bool:
     """Whether something was reported that tells when a photo was exposed, however roughly."""
     reported = found.level >= EvidenceLevel.CAPTURE_MESSAGE and math.isfinite(found.reported_s)
-    return math.isfinite(found.exposed_s) or reported or is_undatable(found)
+    return math.isfinite(found.exposed_s) or reported or is_undatable(found) or is_only_counted(found)
 
 
 def _arrival_s(found: CaptureEvidence) -> float:
-    """When a photo was reported: it was exposed before that."""
+    """When a photo was reported, or counted: it was exposed before that."""
+    if is_only_counted(found):
+        return found.counted_s
     return found.received_s if math.isnan(found.reported_s) else found.reported_s
 
 
@@ -107,15 +130,18 @@ def window(found: CaptureEvidence, commanded_s: float, settings: MissionSettings
     """The interval in which a reported photo was exposed, bounds included, on the mission's clock.
 
     Not before its trigger; and not after its report, where the camera reports a photo that it has: that is all that a
-    report says which has no date, or one that cannot be believed. Where only the trigger is dated (CAMERA_FEEDBACK
-    without a pin, by its arrival), the exposure follows within the bound.
+    report says which has no date, or one that cannot be believed. CAMERA_FEEDBACK is dated by its arrival alone: one
+    that is late tells of a trigger that was deferred, or was itself held up on the link, so that the exposure may have
+    been any time since the trigger. Without a pin, the exposure follows the report within the bound.
     """
     if math.isnan(found.exposed_s) or is_undatable(found):
         return commanded_s, _arrival_s(found)
-    start_s = max(commanded_s, found.exposed_s - found.exposed_error_s)
     if found.level < EvidenceLevel.FEEDBACK_PIN:
         prompt = found.exposed_s - commanded_s <= found.exposed_error_s
-        return start_s, (commanded_s if prompt else found.exposed_s) + settings.exposure_bound_s
+        return commanded_s, (commanded_s if prompt else found.exposed_s) + settings.exposure_bound_s
+    start_s = max(commanded_s, found.exposed_s - found.exposed_error_s)
+    if found.level < EvidenceLevel.CAPTURE_MESSAGE:
+        start_s = commanded_s
     end_s = found.exposed_s + found.exposed_error_s + settings.exposure_s
     if found.level >= EvidenceLevel.CAPTURE_MESSAGE:
         end_s = min(end_s, _arrival_s(found))
@@ -127,6 +153,8 @@ def when(found: CaptureEvidence, commanded_s: float) -> str:
     if is_dated(found):
         return f"exposed {found.exposed_s - commanded_s:.2f} s after its trigger"
     late_s = _arrival_s(found) - commanded_s
+    if is_only_counted(found):
+        return f"the photo is only counted, {late_s:.2f} s after its trigger"
     if is_undatable(found):
         return f"reported {late_s:.2f} s after its trigger with a time that cannot be dated"
     if math.isfinite(found.exposed_s):

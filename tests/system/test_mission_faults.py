@@ -28,24 +28,12 @@ from panoexec.inputs.plan_options import configured_spec
 from panoexec.mission.log.events import Event, MissionPaused, ShotAccepted
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.settings import GuardSettings, MissionSettings
-from panoexec.planning.model import Band, Constraints, Plan, Shot, Tolerance
 from panoexec.sim.config import AirframeConfig, CameraConfig, SimConfig
 from panoexec.sim.faults import parse_fault
 from tests.repository import ROOT
+from tests.system.kind_missions import FAULT_ENDS, TOLERANCE, ring
 
-TOLERANCE = Tolerance(pitch_deg=0.25, roll_deg=0.25, yaw_deg=1.0)
 SPEEDUP = 20.0
-
-
-def _plan(count: int) -> Plan:
-    shots = tuple(Shot(index=i, row=0, pitch_deg=-25.0, yaw_deg=-180.0 + 360.0 * i / count) for i in range(count))
-    band = Band(elevation_min_deg=-30.0, elevation_max_deg=-20.0)
-    return Plan(
-        method="certified",
-        camera=CameraConfig().optics,
-        constraints=Constraints(overlap_h=0.1, overlap_v=0.1, band=band, tolerance=TOLERANCE),
-        shots=shots,
-    )
 
 
 def _options(storage: Path, *faults: str, count: int = 8, images: bool = False, **simulation: Any) -> DryRunOptions:
@@ -64,7 +52,7 @@ def _options(storage: Path, *faults: str, count: int = 8, images: bool = False, 
         airframe=AirframeConfig(wind_m_s=1.0),
     )
     return DryRunOptions(
-        plan=_plan(count),
+        plan=ring(count=count),
         settings=settings,
         simulation=replace(config, **simulation),
         storage=storage,
@@ -150,44 +138,20 @@ async def test_a_dry_run_as_the_command_line_flies_it_stops_shooting_in_another_
     assert max(taken_s) < taken_s[0] + 2.0 + 1.5, "a photo in flight at most"
 
 
-ALL_FAULTS = {
-    "link-loss=3+5": "complete",
-    "reboot=4": "complete",
-    "attitude-stop=3+4": "complete",
-    "attitude-frozen=3+4": "complete",
-    "attitude-nan=3+4": "complete",
-    "gimbal-stuck=3+6": "complete",
-    "gimbal-slow=3+10": "complete",
-    "drift=0.4": "complete",
-    "control-stolen=4": "complete",
-    "mode-change=4": "failed",
-    "photo-lost=#2,#3": "complete",
-    "photo-refused=#2,#3": "complete",
-    "capture-lost=#2,#3": "complete",
-    "capture-twice=#2,#3": "complete",
-    "storage-full=4+6": "complete",
-    "gps-lost=4+5": "complete",
-    "rtl=4": "failed",
-    "battery-low=4": "failed",
-    "gust=3+6": "complete",
-    "clock-jump=4": "complete",
-}
-
-
 @pytest.mark.skipif(
     "PANOEXEC_ALL_FAULTS" not in os.environ, reason="PANOEXEC_ALL_FAULTS=1 flies all of them (2 to 4 min)"
 )
-@pytest.mark.parametrize("fault", ALL_FAULTS)
+@pytest.mark.parametrize("fault", FAULT_ENDS)
 async def test_each_fault_ends_as_documented(tmp_path: Path, fault: str) -> None:
     summary, _ = await _fly(_options(tmp_path, fault))
-    assert summary.state == ALL_FAULTS[fault]
+    assert summary.state == FAULT_ENDS[fault]
     assert not summary.missing or summary.state == "failed"
 
 
 def test_every_fault_of_the_simulator_is_flown() -> None:
     from panoexec.sim.faults import FAULTS  # noqa: PLC0415
 
-    assert {fault.partition("=")[0] for fault in ALL_FAULTS} == set(FAULTS)
+    assert {fault.partition("=")[0] for fault in FAULT_ENDS} == set(FAULTS)
 
 
 def test_the_documentation_has_each_fault_with_its_reaction_and_its_state() -> None:
@@ -202,6 +166,6 @@ def test_the_documentation_has_each_fault_with_its_reaction_and_its_state() -> N
         for name in re.findall(r"`([a-z-]+)`", cells[1]):
             ends.setdefault(name, set()).add("complete" if by_itself else "failed")
             assert cells[3] in set(MissionState), line
-    assert set(ends) == {fault.partition("=")[0] for fault in ALL_FAULTS}
-    for fault, end in ALL_FAULTS.items():
+    assert set(ends) == {fault.partition("=")[0] for fault in FAULT_ENDS}
+    for fault, end in FAULT_ENDS.items():
         assert end in ends[fault.partition("=")[0]], fault

@@ -234,6 +234,7 @@ class Capture:
             exposed_error_s=other.exposed_error_s if math.isnan(best.exposed_s) else best.exposed_error_s,
             contradiction=old.contradiction,
             reported_s=reported(old.reported_s, new.reported_s),
+            counted_s=reported(old.counted_s, new.counted_s),
         )
         self._changed.set()
 

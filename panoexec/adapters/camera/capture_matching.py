@@ -210,7 +210,7 @@ class CaptureMatcher:
             and received_s - capture.commanded_s < _LATEST_EXPOSURE_S
         ]
         for capture, _ in zip(waiting, range(images - before), strict=False):
-            evidence = CaptureEvidence(level=EvidenceLevel.COUNTED, received_s=received_s)
+            evidence = CaptureEvidence(level=EvidenceLevel.COUNTED, received_s=received_s, counted_s=received_s)
             capture.add(Report(source=Source.COUNT, evidence=evidence))
 
     def _match(self, report: Report) -> Capture | None:

@@ -29,7 +29,7 @@ class Candidate:
     """A gimbal as a manager offers it.
 
     Attributes:
-        gimbal_id: its id in MAVSDK.
+        gimbal_id: its id in MAVSDK, from 1; negative if MAVSDK does not list its manager.
         manager: MAVLink component of the manager.
         device_id: its gimbal device id.
         vendor, model: as reported, or "".
@@ -72,6 +72,33 @@ def in_order(candidates: Iterable[Candidate], *, manager: int = 0, device: int =
         if manager in (0, one.manager) and (device in (0, one.device_id) or device == component_of(one.device_id))
     ]
     return sorted(fitting, key=lambda one: (one.manager != AUTOPILOT, one.manager, one.device_id))
+
+
+def with_unlisted(listed: Sequence[Candidate], told: Iterable[tuple[int, int]]) -> list[Candidate]:
+    """The gimbals with those of the autopilot's manager that MAVSDK does not list.
+
+    MAVSDK lists one manager for a device id: where a gimbal is a manager itself, that may be the gimbal's.
+
+    Args:
+        listed: by MAVSDK.
+        told: manager and device id of each GIMBAL_MANAGER_INFORMATION (280) that came.
+    """
+    known = {(one.manager, one.device_id) for one in listed}
+    named = {one.device_id: one for one in listed}
+    return [
+        *listed,
+        *(
+            Candidate(
+                gimbal_id=-device_id,
+                manager=manager,
+                device_id=device_id,
+                vendor=named[device_id].vendor,
+                model=named[device_id].model,
+            )
+            for manager, device_id in sorted(set(told) - known)
+            if manager == AUTOPILOT and device_id in named
+        ),
+    ]
 
 
 def is_gimbal(component: int, types: Mapping[int, int]) -> bool:

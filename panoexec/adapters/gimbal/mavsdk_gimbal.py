@@ -12,13 +12,14 @@ from types import TracebackType
 from typing import Final, Self
 
 import structlog
-from mavsdk.plugins.gimbal import ControlMode, ControlStatus, Gimbal, GimbalItem, GimbalList, GimbalMode, SendMode
+from mavsdk.plugins.gimbal import ControlStatus, Gimbal, GimbalItem, GimbalList
 
 from panoexec.adapters.gimbal.attitude_messages import manager_limits
 from panoexec.adapters.gimbal.device_rate import DeviceRate
 from panoexec.adapters.gimbal.feedback_kind import FRAMES, Feedback, echo_by_parameters
-from panoexec.adapters.gimbal.gimbal_choice import Candidate, in_order
+from panoexec.adapters.gimbal.gimbal_choice import Candidate, in_order, with_unlisted
 from panoexec.adapters.gimbal.gimbal_reports import GimbalReports
+from panoexec.adapters.gimbal.manager_commands import ManagerCommands
 from panoexec.adapters.gimbal.north_trim import NorthTrim
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.message_hub import MavMessage
@@ -86,6 +87,7 @@ class MavsdkGimbal:
         )
         self._rate = DeviceRate(link, self._reports)
         self._north = NorthTrim(self._known)
+        self._commands = ManagerCommands(link)
         self._found: GimbalFound | None = None
         self._limits: dict[tuple[int, int], GimbalLimits | None] = {}
         self._control: dict[int, tuple[int, int]] = {}
@@ -143,7 +145,7 @@ class MavsdkGimbal:
     @property
     def candidates(self) -> list[Candidate]:
         """All gimbals that managers offer, also those that the configuration excludes."""
-        return in_order(
+        listed = [
             Candidate(
                 gimbal_id=item.gimbal_id,
                 manager=item.gimbal_manager_component_id,
@@ -152,7 +154,8 @@ class MavsdkGimbal:
                 model=item.model_name,
             )
             for item in self._list
-        )
+        ]
+        return in_order(with_unlisted(listed, self._limits))
 
     @property
     def age_s(self) -> float:
@@ -239,9 +242,8 @@ class MavsdkGimbal:
         raise refused or DeviceError("no gimbal is left to be taken")
 
     async def _request_control(self, choice: Candidate) -> None:
-        take = partial(self._link.requests.plugin(Gimbal).take_control, choice.gimbal_id, ControlMode.PRIMARY)
         self._control.pop(choice.gimbal_id, None)
-        await self._link.requests.mavsdk_call("taking control of the gimbal", take)
+        await self._commands.take(choice.gimbal_id, manager=choice.manager, device_id=choice.device_id)
 
     async def _confirm_control(self, gimbal: GimbalFound) -> None:
         """Return when the manager's status names us.
@@ -285,27 +287,23 @@ class MavsdkGimbal:
             self.feed.ingest()
             now_s = self._link.clock.monotonic()
             send_deg = self._north.command(pitch_deg, yaw_deg, newest=self.feed.latest, now_s=now_s)
-        set_angles = partial(
-            self._link.requests.plugin(Gimbal).set_angles,
+        await self._commands.point(
             gimbal.gimbal_id,
-            0.0,
-            pitch_deg,
-            (send_deg + 180.0) % 360.0 - 180.0,
-            GimbalMode.YAW_FOLLOW if yaw_deg is None else GimbalMode.YAW_LOCK,
-            SendMode.ONCE,
+            manager=gimbal.manager_component,
+            device_id=gimbal.device_id,
+            pitch_deg=pitch_deg,
+            yaw_deg=None if yaw_deg is None else (send_deg + 180.0) % 360.0 - 180.0,
         )
-        where = "along the heading" if yaw_deg is None else f"yaw {yaw_deg:.1f}°"
-        await self._link.requests.mavsdk_call(f"pointing the gimbal at pitch {pitch_deg:.1f}° {where}", set_angles)
 
     async def release(self) -> None:
         """See `Gimbal.release`. Also requests the attitude at the idle rate."""
         with contextlib.suppress(DeviceError, TimeoutError):
             async with asyncio.timeout(_RELEASE_S):
-                if self._found is not None:
-                    plugin = self._link.requests.plugin(Gimbal)
-                    give = partial(plugin.release_control, self._found.gimbal_id)
-                    await self._link.requests.mavsdk_call("releasing the gimbal", give)
-                    self._control.pop(self._found.gimbal_id, None)
+                if (found := self._found) is not None:
+                    await self._commands.release(
+                        found.gimbal_id, manager=found.manager_component, device_id=found.device_id
+                    )
+                    self._control.pop(found.gimbal_id, None)
                 await self._rate.restore()
                 await self._link.use_rates(active=False)
                 return
@@ -364,6 +362,7 @@ class MavsdkGimbal:
         has_own = self._manager not in (0, AUTOPILOT) or self._has(AUTOPILOT)
         if not has_own:
             has_own = not await self._ask_limits(AUTOPILOT)
+        # a manager of the autopilot that MAVSDK never lists (`with_unlisted`) is there as soon as it has answered
         while not self._usable() or not (has_own or self._has(AUTOPILOT)):
             self._listed.clear()
             await self._listed.wait()

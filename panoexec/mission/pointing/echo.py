@@ -39,6 +39,7 @@ MOVED_DEG: Final = 1.0
 STARTS_DEG_S2: Final = 240.0
 """Acceleration at which a gimbal is taken to start."""
 _DELAYS: Final = 9
+_LATELY: Final = 3
 _BESIDE_FRAC: Final = 0.15
 """Within this fraction of a slew, a report is beside its start or its target."""
 _MIDDLE_FRAC: Final = 1.0 - math.sqrt(2 * _BESIDE_FRAC)
@@ -84,6 +85,11 @@ class EchoWatch:
         The time that the motion itself takes is taken off; what is left is latency of commands and age of reports.
         """
         return sorted(self._delays)[len(self._delays) // 2] if self._delays else math.nan
+
+    @property
+    def longest_delay_s(self) -> float:
+        """The longest of the last delays, which a stream that falls behind lengthens at once; NaN before the first."""
+        return max(self._delays[-_LATELY:], default=math.nan)
 
     def slew(
         self,

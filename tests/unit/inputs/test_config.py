@@ -130,3 +130,10 @@ def test_a_password_in_the_wrong_place_is_not_repeated() -> None:
     lines = problem_lines(caught.value)
     assert "is not a host" in lines[0]
     assert "secret" not in lines[0]
+
+
+def test_a_camera_on_another_system_is_refused_with_what_to_set(tmp_path: Path) -> None:
+    path = tmp_path / "panoexec.toml"
+    path.write_text("[camera]\nsystem = 2\n", encoding="utf-8")
+    with pytest.raises(InputFileError, match="set the camera's own system id to that of the vehicle"):
+        load_config(path, {})

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from panoexec.devices import CaptureEvidence, EvidenceLevel
-from panoexec.mission.dated_exposure import ShutterLag, window
+from panoexec.mission.dated_exposure import ShutterLag, has_window, when, window
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
 from tests.unit.fakes.checks import check_mission
@@ -59,10 +60,24 @@ def test_the_window_is_bounded_by_trigger_and_report() -> None:
 
     captured = found(EvidenceLevel.CAPTURE_MESSAGE, 10.02, received_s=10.06)
     assert window(captured, 10.0, settings) == pytest.approx((10.0, 10.06))
-    assert window(found(EvidenceLevel.FEEDBACK_PIN, 11.0), 10.0, settings) == pytest.approx((10.95, 11.07))
-    # a trigger that is dated says that the shutter opens within the latency after it
-    assert window(found(EvidenceLevel.COUNTED, 11.0), 10.0, settings) == pytest.approx((10.95, 11.12))
+    assert window(found(EvidenceLevel.FEEDBACK_PIN, 11.0), 10.0, settings) == pytest.approx((10.0, 11.07))
+    # a trigger that is dated says that the shutter opens within the latency after it, unless its report was held up
+    assert window(found(EvidenceLevel.COUNTED, 11.0), 10.0, settings) == pytest.approx((10.0, 11.12))
     assert window(found(EvidenceLevel.COUNTED, 10.03), 10.0, settings) == pytest.approx((10.0, 10.12))
+
+
+def test_a_photo_that_is_only_counted_was_exposed_before_its_count() -> None:
+    settings = some_settings(latency_s=0.1, exposure_s=0.02)
+    counted = CaptureEvidence(level=EvidenceLevel.COUNTED, received_s=13.0, counted_s=13.0)
+    assert has_window(counted)
+    assert window(counted, 10.0, settings) == (10.0, 13.0)
+    assert when(counted, 10.0) == "the photo is only counted, 3.00 s after its trigger"
+    lag = ShutterLag(0.1)
+    assert "each pose is held until its photo is counted, 3.0 s after the trigger" in lag.note(counted, 10.0)
+    assert lag.bound_s == 3.0
+    assert lag.note(counted, 10.0) == "", "once"
+    reported = replace(counted, level=EvidenceLevel.CAPTURE_MESSAGE, reported_s=10.4)
+    assert window(reported, 10.0, settings) == (10.0, 10.4), "a report tells more"
 
 
 def test_what_cannot_be_a_lag_is_not_learned() -> None:

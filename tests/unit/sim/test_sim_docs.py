@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from panoexec.sim import settings
 from panoexec.sim.camera_kinds import CAMERA_KINDS
 from panoexec.sim.config import SimConfig
@@ -45,3 +47,12 @@ def test_every_kind_of_camera_is_documented_with_its_text() -> None:
 
 def test_every_kind_of_gimbal_is_documented_with_its_text() -> None:
     assert kinds("Kinds of gimbals") == {name: kind.text for name, kind in GIMBAL_KINDS.items()}
+
+
+def test_payloads_tell_what_panoexec_does_about_every_kind() -> None:
+    text = (ROOT / "docs" / "payloads.md").read_text(encoding="utf-8")
+    cameras, _, gimbals = text.partition("## Gimbals")
+    for section, known in ((cameras, CAMERA_KINDS), (gimbals, GIMBAL_KINDS)):
+        firsts = [line.strip("| ").split(" | ")[0] for line in section.splitlines() if line.startswith("| ")]
+        named = {name for first in firsts for name in re.findall(r"[(,] ?`([a-z0-9-]+)`(?=[,)])", first)}
+        assert set(known) <= named, set(known) - named

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from panoexec.adapters.gimbal.gimbal_choice import Candidate, component_of, in_order, is_gimbal, source_for
+from panoexec.adapters.gimbal.gimbal_choice import (
+    Candidate,
+    component_of,
+    in_order,
+    is_gimbal,
+    source_for,
+    with_unlisted,
+)
 from panoexec.errors import DeviceError
 
 OWN = Candidate(gimbal_id=1, manager=154, device_id=154, vendor="Gremsy")
@@ -70,3 +77,12 @@ def test_the_source_is_the_component_of_the_pointed_device(
 def test_what_cannot_be_the_gimbal_is_not_taken_for_it(device_id: int, heard: list[int], device: int, why: str) -> None:
     with pytest.raises(DeviceError, match=why):
         source_for(device_id, heard, device=device)
+
+
+def test_the_autopilots_manager_is_offered_though_mavsdk_lists_only_that_of_the_gimbal() -> None:
+    (unlisted,) = [one for one in with_unlisted([OWN], [(1, 154), (154, 154)]) if one != OWN]
+    assert (unlisted.manager, unlisted.device_id, unlisted.vendor) == (1, 154, "Gremsy")
+    assert unlisted.gimbal_id < 0
+    assert in_order([OWN, unlisted])[0] == unlisted
+    assert with_unlisted([FIRST, OWN], [(1, 1), (154, 154)]) == [FIRST, OWN]
+    assert with_unlisted([OWN], [(1, 0), (42, 154)]) == [OWN], "no device that was listed, or another's manager"
