@@ -6,9 +6,11 @@ directory and PX4's lock file stay. Run by path in an interpreter of its own, wi
 
 import os
 import shutil
+import stat
 import sys
 import time
 from contextlib import suppress
+from pathlib import Path
 
 _LOOK_S = 0.1
 _PATIENCE_S = 5.0
@@ -27,13 +29,13 @@ def sweep(paths: list[str]) -> bool:
     """Remove files and directories; returns whether there were any."""
     found = False
     for path in paths:
-        if os.path.lexists(path):
+        with suppress(FileNotFoundError):
+            kind = Path(path).lstat().st_mode
             found = True
-            if os.path.isdir(path) and not os.path.islink(path):
+            if stat.S_ISDIR(kind):
                 shutil.rmtree(path, ignore_errors=True)
             else:
-                with suppress(OSError):
-                    os.unlink(path)
+                Path(path).unlink()
     return found
 
 
