@@ -16,8 +16,10 @@ from panoexec.adapters.link.message_hub import MavMessage
 from panoexec.adapters.link.stream_health import EKF_STATUS_REPORT, ESTIMATOR_STATUS
 from panoexec.adapters.link.stream_keeper import AUTOPILOT
 from panoexec.adapters.position_health import PositionHealth
+from panoexec.adapters.turn_limits import read_turn_limits
 from panoexec.devices import Severity, VehicleStatus
 from panoexec.errors import DeviceError
+from panoexec.planning.model import TurnLimits
 
 CONDITION_YAW: Final = 115
 DO_REPOSITION: Final = 192
@@ -56,6 +58,7 @@ class MavsdkVehicle:
         self._health = PositionHealth()
         self._unhealthy: tuple[str, ...] = ()
         self._hold_position: tuple[float, float, float] | None = None
+        self._turn_limits: tuple[tuple[str | None, int], TurnLimits] | None = None
 
     @property
     def status(self) -> VehicleStatus:
@@ -119,6 +122,13 @@ class MavsdkVehicle:
             longitude_deg=longitude_deg,
             altitude_m=altitude_m,
         )
+
+    async def turn_limits(self) -> TurnLimits:
+        """See `LimitsTurns.turn_limits`; read again after a reboot of the autopilot."""
+        key = (self._link.autopilot, self._link.boot_count)
+        if self._turn_limits is None or self._turn_limits[0] != key:
+            self._turn_limits = key, await read_turn_limits(self._link.requests, self._link.autopilot)
+        return self._turn_limits[1]
 
     async def say(self, text: str, severity: Severity = Severity.NOTICE) -> None:
         """See `Vehicle.say`."""

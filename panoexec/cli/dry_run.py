@@ -32,7 +32,8 @@ from panoexec.cli.planning_options import (
     profile_of,
     spec_of,
 )
-from panoexec.dryrun.autopilot import sitl_binary
+from panoexec.dryrun.autopilot import firmware_of, sitl_binary
+from panoexec.dryrun.px4 import TURNING as PX4_TURNING
 from panoexec.dryrun.run import DryRunOptions, DryRunSummary, resume_dry_run, run_dry_run
 from panoexec.errors import DependencyError, UsageError, to_install
 from panoexec.inputs.config import GimbalSection, GuardsSection
@@ -153,6 +154,11 @@ async def _until_done(flight: Callable[[], Coroutine[Any, Any, DryRunSummary]]) 
 
 
 def _options(args: argparse.Namespace) -> DryRunOptions:
+    sitl = None if args.sitl is None else sitl_binary(args.sitl or None)
+    if sitl is not None:
+        args.turning = firmware_of(sitl).turning
+    elif args.autopilot == "px4":
+        args.turning = PX4_TURNING
     spec = _spec(args)
     plan = spec.plan()
     if plan.certificate is not None and not plan.certificate.certified:
@@ -178,7 +184,7 @@ def _options(args: argparse.Namespace) -> DryRunOptions:
         storage=args.output,
         reference=args.reference,
         images=not args.no_images,
-        sitl=None if args.sitl is None else sitl_binary(args.sitl or None),
+        sitl=sitl,
         connect=args.sitl_connect,
     )
 

@@ -260,5 +260,5 @@ def _gimbal(args: argparse.Namespace) -> GimbalLimits | None:
         pitch_rate_deg_s=rate[0],
         yaw_rate_deg_s=rate[1],
         yaw_endless=args.gimbal_pan is None and args.yaw != "vehicle",
-        turning=None if args.yaw == "gimbal" else Turning(),
+        turning=None if args.yaw == "gimbal" else getattr(args, "turning", Turning()),
     )

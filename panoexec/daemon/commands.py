@@ -168,7 +168,7 @@ class Commands:
                 assert beginning is not None
                 data = await self._start(request, incoming, beginning)
             case PlanRequest():
-                spec = spec_of(self._config(), request, camera=self.camera)
+                spec = spec_of(self._config(), request, camera=self.camera, limits=self._vehicle.turn_limits)
                 data = planned(await self._plans.for_sender(spec, incoming.sender))
             case ResumeRequest():
                 assert beginning is not None
@@ -203,7 +203,7 @@ class Commands:
 
     async def _start(self, request: StartRequest, incoming: Incoming, beginning: Beginning) -> dict[str, Any]:
         config = self._config()
-        spec = spec_of(config, request, camera=self.camera)
+        spec = spec_of(config, request, camera=self.camera, limits=self._vehicle.turn_limits)
         settings = settings_of(config, spec)
         async with self._missions.claimed(beginning):
             devices = self._vehicle.ready_devices()

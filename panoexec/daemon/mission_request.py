@@ -12,13 +12,13 @@ from panoexec.errors import InputFileError, UsageError
 from panoexec.inputs.camera_profiles import CameraProfile, configured_profile, load_profile, profile_from_mapping
 from panoexec.inputs.config import Config
 from panoexec.inputs.plan_file import plan_from_data
-from panoexec.inputs.plan_options import configured_spec
+from panoexec.inputs.plan_options import UNKNOWN_TURNS, configured_spec
 from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.mission.configured_guards import guard_settings
 from panoexec.mission.settings import MissionSettings
 from panoexec.mqtt.credentials import credential_problems
 from panoexec.mqtt.requests import PlanRequest, RefusedRequestError
-from panoexec.planning.model import GimbalLimits
+from panoexec.planning.model import GimbalLimits, TurnLimits
 
 
 def chosen_profile(config: Config, camera: str | Mapping[str, Any] | None) -> CameraProfile:
@@ -41,13 +41,20 @@ def chosen_profile(config: Config, camera: str | Mapping[str, Any] | None) -> Ca
         raise RefusedRequestError("invalid", str(error), field="camera") from error
 
 
-def spec_of(config: Config, request: PlanRequest, *, camera: str | Mapping[str, Any] | None = None) -> PlanSpec:
+def spec_of(
+    config: Config,
+    request: PlanRequest,
+    *,
+    camera: str | Mapping[str, Any] | None = None,
+    limits: TurnLimits = UNKNOWN_TURNS,
+) -> PlanSpec:
     """What a request asks for; what it leaves out comes from its plan, then from the configuration.
 
     Args:
         config: of the daemon.
         request: `plan` or `start`.
         camera: set by an earlier request, instead of the configured one.
+        limits: of the vehicle's turns, if known.
 
     Raises:
         RefusedRequestError: naming the field.
@@ -63,7 +70,7 @@ def spec_of(config: Config, request: PlanRequest, *, camera: str | Mapping[str, 
     options = request.options()
     if request.camera is not None:
         options = replace(options, camera=profile.camera)
-    return options.over(configured_spec(config, profile), file)
+    return options.over(configured_spec(config, profile, limits), file)
 
 
 def settings_of(config: Config, spec: PlanSpec) -> MissionSettings:

@@ -24,6 +24,7 @@ from panoexec.devices import VehicleStatus
 from panoexec.errors import DeviceError
 from panoexec.inputs.config import Config
 from panoexec.mqtt.messages import LinkFields, LinksFields
+from panoexec.planning.model import TurnLimits
 from panoexec.store.session import Devices
 
 _FIND_S: Final = 8.0
@@ -64,6 +65,7 @@ class VehicleLink:
         self._gimbal: MavsdkGimbal | None = None
         self._camera: OpenCamera | None = None
         self._vehicle: MavsdkVehicle | None = None
+        self._turn_limits = TurnLimits()
         self._oks: tuple[bool, ...] = ()
         self._doubt = ""
 
@@ -71,6 +73,11 @@ class VehicleLink:
     def status(self) -> VehicleStatus:
         """Status of the vehicle, unknown without one."""
         return VehicleStatus() if self._vehicle is None else self._vehicle.status
+
+    @property
+    def turn_limits(self) -> TurnLimits:
+        """How fast the autopilot turns the vehicle; as it was told last, unknown if the vehicle does not pan."""
+        return self._turn_limits
 
     @property
     def linked(self) -> LinkedVehicle | None:
@@ -154,6 +161,8 @@ class VehicleLink:
             await self._find(link, self._gimbal)
             self._camera = await stack.enter_async_context(open_camera(self._config.camera, link))
             await self._find_camera(self._camera)
+            if self._config.gimbal.yaw != "gimbal":
+                self._turn_limits = await linked.vehicle.turn_limits()
             await link.use_rates(active=False)
             self.devices = Devices(gimbal=self._gimbal, camera=self._camera, vehicle=self._vehicle)
             self.reason = ""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from panoexec.dryrun.firmware import Launch, SitlOptions, free_udp_ports
+from panoexec.planning.model import Turning
 from panoexec.sim.config import SimConfig
 
 BINARY_VARIABLE: Final = "ARDUPILOT_SITL"
@@ -27,6 +28,7 @@ class ArduCopter:
     kind = "ardupilot"
     name = "ArduCopter"
     may_slow = True
+    turning = Turning()
 
     def launch(self, folder: Path, options: SitlOptions) -> Launch:
         """See `Firmware.launch`."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import shutil
 import signal
 import sys
 import tempfile
@@ -12,7 +13,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Final
 
-from panoexec.dryrun import arducopter, px4, tether
+from panoexec.dryrun import arducopter, px4, sweeper, tether
 from panoexec.dryrun.firmware import Firmware, Launch, SitlOptions
 from panoexec.errors import DeviceError, UsageError
 
@@ -116,12 +117,32 @@ async def running_sitl(options: SitlOptions) -> AsyncIterator[SitlProcess]:
     with tempfile.TemporaryDirectory(prefix="panoexec-sitl-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         launch = firmware_of(options.binary).launch(folder, options)
-        try:
-            async with _started(launch, options, folder) as sitl:
-                yield sitl
-        finally:
-            for path in launch.leaves:
-                path.unlink(missing_ok=True)
+        async with _swept(folder, *launch.leaves):
+            try:
+                async with _started(launch, options, folder) as sitl:
+                    yield sitl
+            finally:
+                for path in launch.leaves:
+                    path.unlink(missing_ok=True)
+                await asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True)
+
+
+@contextlib.asynccontextmanager
+async def _swept(*paths: Path) -> AsyncIterator[None]:
+    """Another process that removes these paths if this one is killed while the block runs."""
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-I", "-S", sweeper.__file__),
+        *map(str, paths),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        yield
+    finally:
+        assert process.stdin is not None
+        process.stdin.close()
+        await asyncio.shield(process.wait())
 
 
 @contextlib.asynccontextmanager

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from panoexec.planning.model import Turning
 from panoexec.sim.config import SimConfig
 
 
@@ -55,11 +56,13 @@ class Firmware(Protocol):
         kind: as `SimConfig.autopilot` names it.
         name: for messages.
         may_slow: its speed-up can be changed while it runs.
+        turning: how it turns the vehicle with its default parameters.
     """
 
     kind: str
     name: str
     may_slow: bool
+    turning: Turning
 
     def launch(self, folder: Path, options: SitlOptions) -> Launch:
         """Write what the process needs into its directory; returns how to start it there."""

@@ -13,6 +13,7 @@ from typing import Final
 
 from panoexec.dryrun.firmware import Launch, SitlOptions, free_udp_ports
 from panoexec.errors import UsageError
+from panoexec.planning.model import Turning
 from panoexec.sim.config import SimConfig
 
 BINARY_VARIABLE: Final = "PX4_SITL"
@@ -43,12 +44,17 @@ def _root(binary: Path) -> Path:
     return binary.resolve().parent.parent
 
 
+TURNING: Final = Turning(rate_deg_s=60.0, acceleration_deg_s2=20.0)
+"""MPC_YAWRAUTO_MAX and MPC_YAWRAUTO_ACC, by default."""
+
+
 class Px4:
     """See `Firmware`."""
 
     kind = "px4"
     name = "PX4"
     may_slow = False
+    turning = TURNING
 
     def launch(self, folder: Path, options: SitlOptions) -> Launch:
         """See `Firmware.launch`."""

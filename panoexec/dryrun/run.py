@@ -269,7 +269,7 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
                 record = await session.run()
                 start = None if before is None else (before[0], before[1] - record.reference_yaw_north_deg)
                 duration_s, certificate = session.mission.shooting_s, session.mission.certificate
-                turns = session.mission.turns
+                turns, turning = session.mission.turns, session.mission.turning
     except BaseException:
         await stored.journal.close()
         # write the outputs of an interrupted mission, but report the original error
@@ -283,9 +283,8 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
         note(f"some outputs of the mission could not be written: {error}")
     shots = _shots_flown(record, since_utc_s=began_utc_s)
     camera = simulation.camera
-    steps_s = ideal_step_durations_s(
-        shots, stored.settings, start=start, exposure_s=camera.exposure_s, lag_s=camera.latency_s
-    )
+    flown = replace(stored.settings, gimbal=replace(stored.settings.gimbal, turning=turning))
+    steps_s = ideal_step_durations_s(shots, flown, start=start, exposure_s=camera.exposure_s, lag_s=camera.latency_s)
     limit_s = sum(steps_s)
     summary = summarise(stored, record, duration_s=duration_s, limit_s=limit_s, certificate=certificate)
     return replace(summary, vehicle=rig.about, turns=turns, report=stored.directory.report)

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar
 
@@ -23,15 +24,18 @@ from panoexec.planning.model import (
     Timing,
     Tolerance,
     Turning,
+    TurnLimits,
 )
 from panoexec.planning.order.shot_order import Order
 
 if TYPE_CHECKING:
     from panoexec.inputs.camera_profiles import CameraProfile
-    from panoexec.inputs.config import Config
+    from panoexec.inputs.config import Config, VehicleSection
     from panoexec.inputs.plan_file import PlanFile
 
 _T = TypeVar("_T")
+
+UNKNOWN_TURNS = TurnLimits()
 
 # strict: a text or a truth value where a number belongs is a mistake in the program that wrote it
 Finite: TypeAlias = Annotated[float, Strict(), Field(allow_inf_nan=False)]
@@ -265,12 +269,13 @@ class ConstraintsFields(_Written):
 # --- in the configuration
 
 
-def configured_spec(config: Config, profile: CameraProfile) -> PlanSpec:
+def configured_spec(config: Config, profile: CameraProfile, limits: TurnLimits = UNKNOWN_TURNS) -> PlanSpec:
     """The panorama that the configuration describes: the defaults of requests.
 
     Args:
         config: of the daemon.
         profile: the camera, configured or not (see `panoexec.inputs.camera_profiles.configured_profile`).
+        limits: of the vehicle's turns, if known.
     """
     section, pointing = config.mission, config.pointing
     return PlanSpec(
@@ -290,7 +295,7 @@ def configured_spec(config: Config, profile: CameraProfile) -> PlanSpec:
                 yaw_deg=pointing.tolerance_yaw_deg,
             ),
             guarantee=section.guarantee,
-            gimbal=configured_gimbal(config),
+            gimbal=configured_gimbal(config, limits),
         ),
         method=section.method,
         order=section.order,
@@ -298,16 +303,36 @@ def configured_spec(config: Config, profile: CameraProfile) -> PlanSpec:
     )
 
 
-def configured_gimbal(config: Config) -> GimbalLimits:
-    """Where the gimbal can point and how fast, as configured, and whether the vehicle pans in its place."""
+def configured_turning(vehicle: VehicleSection, limits: TurnLimits) -> Turning:
+    """How the vehicle turns: as configured, else as its autopilot does by itself, never faster than it can.
+
+    Args:
+        vehicle: the configuration.
+        limits: of the autopilot, if known.
+    """
+    own = {}
+    if limits.own_rate:
+        told = {"rate_deg_s": limits.rate_deg_s, "acceleration_deg_s2": limits.acceleration_deg_s2}
+        own = {name: value for name, value in told.items() if math.isfinite(value)}
+    configured = {"rate_deg_s": vehicle.yaw_rate_deg_s, "acceleration_deg_s2": vehicle.yaw_acceleration_deg_s2}
+    chosen = own | {name: value for name, value in configured.items() if value is not None}
+    return Turning(**chosen).within(limits)
+
+
+def configured_gimbal(config: Config, limits: TurnLimits = UNKNOWN_TURNS) -> GimbalLimits:
+    """Where the gimbal can point and how fast, as configured, and whether the vehicle pans in its place.
+
+    Args:
+        config: the configuration.
+        limits: of the vehicle's turns, if known.
+    """
     section, default = config.gimbal, GimbalLimits()
     pitch = section.pitch_deg or (default.pitch_min_deg, default.pitch_max_deg)
     yaw = section.yaw_deg or (default.yaw_min_deg, default.yaw_max_deg)
     endless = section.yaw_endless if section.yaw_endless is not None else section.yaw_deg is None
     turning = None
     if section.yaw != "gimbal":
-        vehicle = config.vehicle
-        turning = Turning(rate_deg_s=vehicle.yaw_rate_deg_s, acceleration_deg_s2=vehicle.yaw_acceleration_deg_s2)
+        turning = configured_turning(config.vehicle, limits)
     if section.yaw == "vehicle":
         yaw, endless = (0.0, 0.0), False
     return GimbalLimits(

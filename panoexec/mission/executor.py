@@ -25,14 +25,14 @@ from panoexec.mission.mission_requests import MissionRequests, Stop
 from panoexec.mission.operator_commands import OperatorCommands
 from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.preflight import battery_warning, preflight_problems
-from panoexec.mission.protocols import Journal, PreparesForPhotos, Verifier
+from panoexec.mission.protocols import Journal, LimitsTurns, PreparesForPhotos, Verifier
 from panoexec.mission.recovery import settle_open_attempts
 from panoexec.mission.reference_frame import update_reference_frame, warn_if_moved
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.shooting import Shooting
 from panoexec.mission.shot_queue import ShotQueue
 from panoexec.mission.waiting import first_failure, uncancelled, until, within
-from panoexec.planning.model import Certificate, Plan
+from panoexec.planning.model import Certificate, Plan, Turning
 
 PREFLIGHT_S = 5.0
 """How long preflight retries failed checks (a stream that was just requested needs time to start)."""
@@ -145,6 +145,11 @@ class Mission:
     def turns(self) -> int:
         """How often this process commanded the vehicle to turn."""
         return 0 if self._context.heading_controller is None else self._context.heading_controller.turns
+
+    @property
+    def turning(self) -> Turning | None:
+        """How the vehicle is expected to turn; None if it does not."""
+        return None if self._context.heading_controller is None else self._context.heading_controller.turning
 
     @property
     def shooter(self) -> Shooter | None:
@@ -279,6 +284,7 @@ class Mission:
             problems = self._problems()
         if not problems:
             problems = await self._prepare_camera()
+        await self._learn_turn_limits()
         if not problems and not await self._guard_monitor.acquire():
             problems = [hold.finding.reason for hold in context.requests.holds.values()]
         if problems:
@@ -290,6 +296,13 @@ class Mission:
             context.recorder.emit(ev.Warned(code="battery_estimate", text=warning))
         context.recorder.emit(ev.PreflightPassed(), MissionState.CAPTURING)
         context.eta.restart(context.clock.monotonic())
+
+    async def _learn_turn_limits(self) -> None:
+        """Expect of the vehicle what its autopilot's parameters say."""
+        heading, vehicle = self._context.heading_controller, self._context.vehicle
+        if heading is not None and isinstance(vehicle, LimitsTurns):
+            with suppress(DeviceError):  # without its answer, turns are expected as planned
+                heading.limit(await vehicle.turn_limits())
 
     async def _prepare_camera(self) -> list[str]:
         """Make the camera ready for photos (photo mode); returns what prevents that."""

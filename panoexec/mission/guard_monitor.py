@@ -22,6 +22,12 @@ TICK_S = 0.5
 RECLAIM_EVERY_S = 3.0
 ASK_CONTROL_EVERY_S = 1.0
 """Period at which the gimbal manager is asked who has control while that is unknown."""
+MODE_REPORT_S = 1.5
+"""How long a pause is not announced when the autopilot takes the gimbal: the flight mode that it does this for is in
+its next heartbeat (1 Hz)."""
+AUTOPILOT = 1
+"""Component id."""
+CONTROL_CODES = ("gimbal_control", "gimbal_unknown", "gimbal_lost")
 _ENDED_BY_ACQUIRING = frozenset({"gimbal_control", "gimbal_lost"})
 
 
@@ -73,6 +79,11 @@ class GuardMonitor:
             turn_modes=None if context.heading_controller is None else context.heading_controller.modes,
         )
         found = {f.code: f for guard in self._guards if (f := guard.check(situation)) is not None}
+        if any(finding.release for finding in found.values()):
+            # the gimbal is given up anyway: that an autopilot takes it for its own mode says nothing more
+            for code in CONTROL_CODES:
+                found.pop(code, None)
+                context.requests.holds.pop(code, None)
         for finding in found.values():
             context.requests.hold(finding)
         for code in [code for code, hold in context.requests.holds.items() if not hold.finding.retry]:
@@ -121,7 +132,8 @@ class GuardMonitor:
                     context.eta.restart(context.clock.monotonic())
                     return
                 continue
-            if tuple(requests.holds) != announced:
+            waits = self._awaits_mode() and context.clock.monotonic() - began < MODE_REPORT_S
+            if tuple(requests.holds) != announced and not waits:
                 announced = tuple(requests.holds)
                 self._announce()
             if any(hold.finding.release for hold in requests.holds.values()):
@@ -137,6 +149,11 @@ class GuardMonitor:
                 acquired_s = now
                 await self.acquire()
             await until(context.clock.sleep(TICK_S), requests.changed.wait(), "paused")
+
+    def _awaits_mode(self) -> bool:
+        """Whether all that is known is that the autopilot took the gimbal: its new flight mode is about to be told."""
+        requests, holder = self._context.requests, self._context.gimbal.controlled_by
+        return requests.holds.keys() == {"gimbal_control"} and holder is not None and holder[1] == AUTOPILOT
 
     def _announce(self) -> None:
         holds = self._context.requests.holds

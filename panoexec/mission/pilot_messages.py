@@ -110,6 +110,7 @@ class PilotMessenger:
         self._waiting: deque[PilotMessage] = deque(maxlen=MAX_QUEUED)
         self._wake = asyncio.Event()
         self._sending = asyncio.Lock()
+        self._saying: asyncio.Task[None] | None = None
 
     def publish(self, event: ev.Event) -> None:
         """See `EventSink.publish`."""
@@ -136,11 +137,17 @@ class PilotMessenger:
                 await self._send_queued()
         except TimeoutError:
             self._waiting.clear()
+            if self._saying is not None:
+                self._saying.cancel()
+                self._saying = None
 
     async def _send_queued(self) -> None:
         async with self._sending:
-            while self._waiting:
-                message = self._waiting[0]
-                await self._vehicle.say(f"Pano: {message.text}", message.severity)
-                if self._waiting and self._waiting[0] is message:  # else it was dropped meanwhile
-                    self._waiting.popleft()
+            while self._saying is not None or self._waiting:
+                if self._saying is None:
+                    message = self._waiting.popleft()
+                    said = self._vehicle.say(f"Pano: {message.text}", message.severity)
+                    self._saying = asyncio.create_task(said, name="message to the pilot")
+                # a message that is on its way when `run` is cancelled arrives all the same: `flush` awaits it
+                await asyncio.shield(self._saying)
+                self._saying = None

@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 from panoexec.angles import FloatArray
 from panoexec.devices import RecalledPhotos
 from panoexec.mission.log.events import Event
-from panoexec.planning.model import Certificate, Shot
+from panoexec.planning.model import Certificate, Shot, TurnLimits
 
 
 class Journal(Protocol):
@@ -37,6 +37,19 @@ class Verifier(Protocol):
 
     async def patch(self, rotations: FloatArray, rows: Sequence[int]) -> Sequence[Shot]:
         """Shots that close the holes of these attitudes; empty if there are no holes or no shots can close them."""
+        ...
+
+
+@runtime_checkable
+class LimitsTurns(Protocol):
+    """A vehicle that knows how fast its autopilot turns it."""
+
+    async def turn_limits(self) -> TurnLimits:
+        """What the autopilot's parameters say; unknown limits if it does not answer.
+
+        Raises:
+            LinkError: the autopilot has not been found yet.
+        """
         ...
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -67,6 +68,21 @@ class AngleBox:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TurnLimits:
+    """How fast an autopilot turns the vehicle on the spot; infinite: unknown.
+
+    Attributes:
+        rate_deg_s: the largest yaw rate.
+        acceleration_deg_s2: the largest yaw acceleration.
+        own_rate: it turns at that rate, whatever rate is commanded.
+    """
+
+    rate_deg_s: float = math.inf
+    acceleration_deg_s2: float = math.inf
+    own_rate: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Turning:
     """How the vehicle yaws on the spot where the gimbal cannot pan the camera.
 
@@ -81,6 +97,14 @@ class Turning:
     acceleration_deg_s2: float = 90.0
     settle_s: float = 1.0
     margin_deg: float = 10.0
+
+    def within(self, limits: TurnLimits) -> Turning:
+        """The same turns under the limits of an autopilot."""
+        return replace(
+            self,
+            rate_deg_s=min(self.rate_deg_s, limits.rate_deg_s),
+            acceleration_deg_s2=min(self.acceleration_deg_s2, limits.acceleration_deg_s2),
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -58,7 +58,7 @@ FAULTS: dict[str, Fault] = {
     "link-loss": Fault(kind=Kind.SPAN, text="no messages pass between vehicle and ground, in either direction"),
     "reboot": Fault(
         kind=Kind.ONCE,
-        text="the autopilot reboots: silent for the size, then boot time 0, intervals and gimbal control reset",
+        text="the autopilot reboots: its motors stop; silent for the size, then disarmed, with everything reset",
         size=3.0,
         unit="s",
     ),

@@ -17,6 +17,8 @@ from panoexec.sim.faults import FAULTS, parse_fault
 from panoexec.sim.gimbal_kinds import GIMBAL_KINDS, gimbal_kinds_text, with_gimbal_kind
 
 _MAX_SPEEDUP = 100.0
+_PX4_TURN_DEG_S2 = 20.0
+"""MPC_YAWRAUTO_ACC, by default."""
 
 
 class _Kind(argparse.Action):
@@ -150,6 +152,8 @@ def config_of(args: argparse.Namespace, camera: CameraConfig | None = None) -> S
         config = with_camera_kind(config, args.camera_kind)
     width = _within(args.image_width, 16, config.camera.optics.image_width_px, "--image-width")
     assignments = [f"camera.render_width_px={width}"]
+    if config.autopilot == "px4":
+        assignments.append(f"airframe.turn_acceleration_deg_s2={_PX4_TURN_DEG_S2:g}")
     if args.wind is not None:
         if not (0 <= args.wind <= 30):
             raise UsageError(f"--wind {args.wind}: expected 0 to 30 m/s")

@@ -33,7 +33,7 @@ NO_FAULT: Final = ""
 
 FAULT_ENDS: Final[Mapping[str, str]] = {
     "link-loss=3+5": "complete",
-    "reboot=4": "complete",
+    "reboot=4": "failed",
     "attitude-stop=3+4": "complete",
     "attitude-frozen=3+4": "complete",
     "attitude-nan=3+4": "complete",

@@ -138,6 +138,21 @@ async def test_a_dry_run_as_the_command_line_flies_it_stops_shooting_in_another_
     assert max(taken_s) < taken_s[0] + 2.0 + 1.5, "a photo in flight at most"
 
 
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+async def test_after_a_reboot_in_flight_the_mission_stays_paused(tmp_path: Path, autopilot: str) -> None:
+    summary, events = await _fly(_options(tmp_path, "reboot=3", images=True, autopilot=autopilot))
+    assert summary.state == "failed"
+    assert "paused for" in summary.reason
+    last = [event for event in events if isinstance(event, MissionPaused)][-1]
+    # ArduPilot boots in STABILIZE, PX4 in Hold: there only the landed state tells
+    assert ("pilot" if autopilot == "ardupilot" else "landed") in last.code.split("+")
+    assert not last.automatic
+    paused = next(event for event in events if isinstance(event, MissionPaused))
+    assert not any(event.type in {"shot_started", "gimbal_acquired"} for event in events if event.seq > paused.seq)
+    taken_s = [exposure["sim_s"] for exposure in _exposures(summary.directory)]
+    assert max(taken_s) < taken_s[0] + 3.0 + 0.5
+
+
 @pytest.mark.skipif(
     "PANOEXEC_ALL_FAULTS" not in os.environ, reason="PANOEXEC_ALL_FAULTS=1 flies all of them (2 to 4 min)"
 )

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import pytest
 
-from panoexec.sim.config import GimbalConfig, SimConfig
+from panoexec.sim.config import AirframeConfig, GimbalConfig, SimConfig
 from tests.repository import ROOT
 from tests.wire.conversation import ASKED, ASKED_SERVO, hold
 from tests.wire.sim_peer import EmbeddedPeer
@@ -18,9 +18,13 @@ Steps: TypeAlias = dict[str, dict[str, Any]]
 
 DATA = ROOT / "tests" / "data"
 LIMITED = dataclasses.replace(GimbalConfig(), pitch=dataclasses.replace(GimbalConfig().pitch, max_deg=45.0))
+STANDS = AirframeConfig(in_air=False)
 VEHICLES = {
-    "arducopter-conversation": (ASKED, SimConfig()),
-    "arducopter-conversation-servo": (ASKED_SERVO, SimConfig(mount="servo", camera_kind="servo", gimbal=LIMITED)),
+    "arducopter-conversation": (ASKED, SimConfig(airframe=STANDS)),
+    "arducopter-conversation-servo": (
+        ASKED_SERVO,
+        SimConfig(mount="servo", camera_kind="servo", gimbal=LIMITED, airframe=STANDS),
+    ),
 }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -178,7 +178,8 @@ def test_reboot_resets_intervals_control_and_boot_time() -> None:
     stream(peer, ATTITUDE=50, GIMBAL_DEVICE_ATTITUDE_STATUS=50, GIMBAL_MANAGER_STATUS=2)
     ask(peer, command(CONFIGURE, -2, -2, -1, -1, 0, 0, 0))
     before = named(peer.listen(5.0), "ATTITUDE")
-    assert ask(peer, command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1), wait_s=0.05)[0] == ACCEPTED
+    forced = command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1, 0, 0, 0, 0, 20190226)
+    assert ask(peer, forced, wait_s=0.05)[0] == ACCEPTED
     peer.listen(0.1)
     assert peer.listen(2.5) == []
     heard = peer.listen(5.0)
@@ -188,6 +189,21 @@ def test_reboot_resets_intervals_control_and_boot_time() -> None:
     assert named(heard, "ATTITUDE")[0].time_boot_ms < before[-1].time_boot_ms
     status = named(heard, "GIMBAL_MANAGER_STATUS")[-1]
     assert (status.primary_control_sysid, status.primary_control_compid) == (0, 0)
+
+
+@pytest.mark.parametrize(("autopilot", "refusal", "mode"), [("ardupilot", 4, 0), ("px4", 2, 4 << 16 | 3 << 24)])
+def test_no_reboot_while_armed_and_after_one_it_is_disarmed(
+    autopilot: Literal["ardupilot", "px4"], refusal: int, mode: int
+) -> None:
+    peer = EmbeddedPeer(SimConfig(autopilot=autopilot))
+    assert ask(peer, command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1))[0] == refusal
+    peer.listen(1.0)
+    assert peer.simulation.airframe.armed
+    peer.simulation.vehicle.reboot(2.0)  # type: ignore[union-attr]
+    (heard, *_) = named(peer.listen(3.1), "HEARTBEAT")
+    assert (heard.custom_mode, heard.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED) == (mode, 0)
+    assert not peer.simulation.airframe.is_flying
+    assert ask(peer, command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1))[0] == ACCEPTED
 
 
 def test_px4_default_streams_device_id_and_denial_without_control() -> None:

@@ -16,7 +16,7 @@ from panoexec.angles import wrap_180
 from panoexec.clock import Clock
 from panoexec.devices import Vehicle
 from panoexec.errors import DeviceError
-from panoexec.planning.model import GimbalLimits, Turning
+from panoexec.planning.model import GimbalLimits, Turning, TurnLimits
 from panoexec.planning.order.duration import turn_times_s
 from panoexec.planning.order.vehicle_yaw import NO_TURN_DEG, PanReach, heading_for
 
@@ -62,6 +62,15 @@ class HeadingController:
     def modes(self) -> tuple[str, ...] | None:
         """Flight modes in which the vehicle can be turned; None while the remaining shots need no turn."""
         return self._vehicle.turn_modes if self._needed else None
+
+    @property
+    def turning(self) -> Turning:
+        """How the vehicle is expected to turn."""
+        return self._turning
+
+    def limit(self, limits: TurnLimits) -> None:
+        """Expect turns no faster than the autopilot makes them."""
+        self._turning = self._turning.within(limits)
 
     def needs(self, yaws_deg: Iterable[float], limits: GimbalLimits) -> bool:
         """Whether the vehicle must turn for any of these yaws."""

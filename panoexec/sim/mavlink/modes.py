@@ -66,6 +66,11 @@ class FlightModes:
         return "STABILIZED" if self._is_px4 else "STABILIZE"
 
     @property
+    def boot_mode(self) -> str:
+        """The mode after a boot: ArduPilot's INITIAL_MODE by default, PX4's Hold."""
+        return "LOITER" if self._is_px4 else "STABILIZE"
+
+    @property
     def land_mode(self) -> str:
         """The landing mode."""
         return "LAND"

@@ -1,4 +1,4 @@
-"""The autopilot parameters of the payload, for programs that read them (PARAM_* messages)."""
+"""The autopilot parameters of the payload and of turns, for programs that read them (PARAM_* messages)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Parameters:
     """Parameter protocol: read, list and set; a new value has no effect on the simulation."""
 
     def __init__(self, config: SimConfig) -> None:
-        gimbal = config.gimbal
+        gimbal, airframe = config.gimbal, config.airframe
         if config.autopilot == "ardupilot":
             self._values: dict[str, float] = {
                 "SYSID_THISMAV": config.system_id,
@@ -25,6 +25,9 @@ class Parameters:
                 "MNT1_RC_RATE": 0.0,
                 "CAM1_TYPE": 0 if config.camera_kind == "mavlink" else 1,
                 "CAM1_FEEDBAK_PIN": -1.0,
+                "ATC_SLEW_YAW": 100 * airframe.turn_rate_deg_s,
+                "ATC_RATE_Y_MAX": 0.0,
+                "ATC_ACCEL_Y_MAX": 100 * airframe.turn_acceleration_deg_s2,
             }
             if config.camera.trigger_min_told:
                 self._values["CAM1_INTRVAL_MIN"] = config.camera.trigger_min_s
@@ -33,6 +36,8 @@ class Parameters:
                 "MAV_SYS_ID": config.system_id,
                 "MNT_MODE_IN": 4,
                 "MNT_MODE_OUT": 0 if config.mount == "echo" else 2,
+                "MPC_YAWRAUTO_MAX": airframe.turn_rate_deg_s,
+                "MPC_YAWRAUTO_ACC": airframe.turn_acceleration_deg_s2,
             }
             if config.camera_kind == "px4-trigger":  # without its driver PX4 has no such parameters
                 interval_ms = 1000 * max(config.camera.trigger_min_s, 0.04)

@@ -41,6 +41,8 @@ _PX4_STREAMS = {
 _ACCEPTED = int(mavlink.MAV_RESULT_ACCEPTED)
 _DENIED = int(mavlink.MAV_RESULT_DENIED)
 _REBOOT_S = 3.0
+_FORCED_REBOOT = 20190226
+"""Sixth parameter of a reboot that ArduPilot carries out while armed."""
 _ESTIMATOR_S = 8.0
 """How long an estimator goes on without GPS; measured on ArduCopter."""
 _TO_DEVICE_S = {"ardupilot": 0.02, "px4": 0.1}
@@ -167,7 +169,8 @@ class Vehicle:
                 self._ground.streams.set_interval(message_id, 1e6 / rate_hz)
 
     def reboot(self, silence_s: float) -> None:
-        """Reboot: silence, then the initial state; it stays in the air, unlike a real vehicle."""
+        """Reboot: the motors stop; after a silence the initial state, disarmed in the mode of a boot."""
+        self.airframe.stop_motors()
         self._silent_until_s = self._timeline.now_s + silence_s
         for component in (self._ground, self._payload):
             component.streams.clear()
@@ -175,6 +178,7 @@ class Vehicle:
 
         def up() -> None:
             self._boot_s = self._timeline.now_s
+            self.modes.set(self.modes.boot_mode)
             self._ground_heard = False
             self.manager.forget()
             self._start_streams()
@@ -336,7 +340,11 @@ class Vehicle:
         return int(mavlink.MAV_RESULT_FAILED if ardupilot else mavlink.MAV_RESULT_UNSUPPORTED)
 
     def _reboot_command(self, command: Command) -> int:
-        del command
+        """Refused while armed; ArduPilot can be forced."""
+        ardupilot = self._config.autopilot == "ardupilot"
+        forced = ardupilot and int(command.params[5]) == _FORCED_REBOOT
+        if self.airframe.armed and not forced:
+            return int(mavlink.MAV_RESULT_FAILED) if ardupilot else _DENIED
         self._timeline.after(0.1, lambda: self.reboot(_REBOOT_S))
         return _ACCEPTED
 

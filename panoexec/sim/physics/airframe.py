@@ -16,6 +16,7 @@ _LEAN_MAX_DEG = 35.0
 _LEAN_LAG_S = 0.6
 _CLIMB_M_S = 2.5
 _DESCENT_M_S = 1.0
+_FALL_M_S = 12.0
 _IDLE_DRAIN = 0.05
 _TURN_DAMPING = 0.9
 _TURN_FEEDFORWARD = 0.5
@@ -123,7 +124,7 @@ class Airframe:
     @property
     def landed_state(self) -> LandedState:
         """Value of EXTENDED_SYS_STATE.landed_state."""
-        if not self.is_flying:
+        if not self.is_flying or not self.armed:  # an autopilot that is disarmed takes itself for landed
             return LandedState.ON_GROUND
         if self._climb_m_s > 0.5 and self._height_goal_m - self._height_m > 0.5:
             return LandedState.TAKEOFF
@@ -152,6 +153,11 @@ class Airframe:
         """Land at the current position; disarms on the ground."""
         self._height_goal_m = 0.0
 
+    def stop_motors(self) -> None:
+        """Disarm wherever it is; in the air it falls."""
+        self.armed = False
+        self._height_goal_m = 0.0
+
     def turn_to(self, heading_deg: float, *, rate_deg_s: float = 0.0, direction: int = 0) -> None:
         """Yaw on the spot to a heading and hold it.
 
@@ -178,7 +184,7 @@ class Airframe:
         self.battery_frac = max(0.0, self.battery_frac - drain * dt / (60 * self.config.battery_minutes))
         self._lean_deg += (self._steady_lean() - self._lean_deg) * min(1.0, dt / _LEAN_LAG_S)
         way = self._height_goal_m - self._height_m
-        self._climb_m_s = min(max(way / max(dt, 1e-9), -_DESCENT_M_S), _CLIMB_M_S)
+        self._climb_m_s = min(max(way / max(dt, 1e-9), -(_DESCENT_M_S if self.armed else _FALL_M_S)), _CLIMB_M_S)
         was_flying = self.is_flying
         self._height_m += self._climb_m_s * dt
         if was_flying and not self.is_flying and self._height_goal_m <= 0:

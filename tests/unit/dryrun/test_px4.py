@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import subprocess
 import sys
 import textwrap
 from dataclasses import replace
@@ -110,3 +112,36 @@ def test_a_servo_camera_is_refused_before_anything_is_started(tmp_path: Path) ->
     binary = built(tmp_path / "px4", tmp_path / "told")
     with pytest.raises(UsageError, match="--trigger servo"):
         SitlVehicle(binary=binary, simulation=SimConfig(camera_kind="servo"))
+
+
+KILLED = """
+    import asyncio
+    from pathlib import Path
+    from panoexec.dryrun.autopilot import running_sitl
+    from panoexec.dryrun.firmware import SitlOptions
+
+    async def main():
+        given = SitlOptions(
+            binary=Path(BINARY), ground_port=PORT, payload_port=PORT + 1, speedup=1.0, home=(47.5, 8.25, 488.0, 20.0),
+            parameters={},
+        )
+        async with running_sitl(given):
+            await asyncio.sleep(60)
+
+    asyncio.run(main())
+"""
+
+
+def test_nothing_of_it_is_left_when_its_parent_is_killed(tmp_path: Path) -> None:
+    told = tmp_path / "told"
+    (port,) = free_udp_ports(1)
+    binary = str(built(tmp_path / "px4", told))
+    script = textwrap.dedent(KILLED).replace("BINARY", repr(binary)).replace("PORT", str(port))
+    with subprocess.Popen([sys.executable, "-c", script], env=os.environ | {"TMPDIR": str(tmp_path)}) as process:
+        try:
+            wait_until(told.exists)
+            left = [Path(f"/tmp/px4_lock-{port}"), *tmp_path.glob("panoexec-sitl-*")]
+            assert [there(path) for path in left] == [True, True]
+        finally:
+            process.kill()
+    wait_until(lambda: not any(there(path) for path in left))

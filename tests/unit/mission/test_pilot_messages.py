@@ -176,3 +176,51 @@ def test_every_guard_has_words_that_fit_on_a_line() -> None:
     assert len(codes) >= 8
     assert codes | HOLD_CODES | {"command"} == set(PAUSE_TEXTS)
     assert all(len(f"Pano: paused: {words}") <= LINE for words in PAUSE_TEXTS.values())
+
+
+def test_a_message_on_its_way_when_the_mission_ends_is_said_once() -> None:
+    async def main() -> list[str]:
+        async with a_world() as world:
+            said, began = [], asyncio.Event()
+
+            async def say(text: str, severity: Severity = Severity.NOTICE) -> None:
+                began.set()
+                await asyncio.sleep(0.2)
+                said.append(f"{severity.name} {text}")
+
+            world.vehicle.say = say  # type: ignore[method-assign]
+            messenger = PilotMessenger(vehicle=world.vehicle, record=world.mission().record)
+            running = asyncio.create_task(messenger.run())
+            messenger.send(PilotMessage("the last line", Severity.NOTICE))
+            await began.wait()
+            running.cancel()
+            await messenger.flush()
+            await asyncio.sleep(1.0)
+            return said
+
+    assert run_virtual(main()) == ["NOTICE Pano: the last line"]
+
+
+def test_an_autopilot_that_takes_the_gimbal_for_its_new_mode_is_not_another_station(tmp_path: Path) -> None:
+    async def script(world: World, session: MissionSession) -> None:
+        await world.clock.sleep(3.0)
+        world.gimbal.other, world.gimbal.in_control = (1, 1), False
+        await world.clock.sleep(0.9)  # until the next heartbeat
+        world.vehicle.change(mode="RETURN_TO_LAUNCH")
+        await world.clock.sleep(3.0)
+        session.mission.commands.abort()
+
+    assert heard(tmp_path, script)[2:] == [
+        "WARNING Pano: paused: pilot has control, gimbal released",
+        "WARNING Pano: aborted at 1/4, gimbal released",
+    ]
+
+
+def test_an_autopilot_that_keeps_the_gimbal_in_the_same_mode_is_told_of(tmp_path: Path) -> None:
+    async def script(world: World, session: MissionSession) -> None:
+        await world.clock.sleep(3.0)
+        world.gimbal.other, world.gimbal.in_control = (1, 1), False
+        await world.clock.sleep(3.0)
+        session.mission.commands.abort()
+
+    assert heard(tmp_path, script)[2:3] == ["WARNING Pano: paused: another station has the gimbal"]
