@@ -52,8 +52,8 @@ KEPT_IN_MEMORY: Final = 200
 MAX_UNDER_WAY: Final = 64
 """Requests that may be in progress at the same time, and repeats of one that get its response."""
 
-STOP_WRITE_S: Final = 0.2
-"""How long the response to a stopping request waits for the disk."""
+STOP_WRITE_S: Final = 0.5
+"""How long after its arrival a stopping request is answered at the latest, whether its response is on disk or not."""
 
 _log = structlog.get_logger(__name__)
 
@@ -212,19 +212,20 @@ class Transactions:
             same.replies.append(reply)
         return True
 
-    async def serve_stop(self, request: Request, executed: Awaitable[Response]) -> None:
-        """Send the response to all who entered this stopping request, after it was stored or `STOP_WRITE_S` passed.
+    async def serve_stop(self, request: Request, executed: Awaitable[Response], *, received_s: float) -> None:
+        """Send the response to all who entered this stopping request, when it is stored or `STOP_WRITE_S` have passed.
 
         Args:
             request: the request, which was executed.
             executed: returns its response.
+            received_s: time.monotonic of its arrival, the event loop's clock.
         """
         key = key_of(request)
         try:
             payload = dump(await executed)
             self._memory.answered(request, payload)
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(STOP_WRITE_S):
+                async with asyncio.timeout_at(received_s + STOP_WRITE_S):
                     await self.write_back()
         finally:
             replies = self._under_way.pop(key).replies

@@ -219,7 +219,7 @@ async def a_stop(store: Transactions, transaction: str = '"s"', more: str = "") 
         return ok(request.transaction, {"shot": len(acted)})
 
     if store.enter_stop(request, lambda payload: answers.append(json.loads(payload))):
-        await store.serve_stop(request, executed())
+        await store.serve_stop(request, executed(), received_s=time.monotonic())
     return answers
 
 
