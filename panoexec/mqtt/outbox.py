@@ -141,7 +141,9 @@ class Outbox:
         *,
         may_go: Callable[[Outgoing, float], bool] = lambda _message, _waited_s: True,
     ) -> list[Outgoing]:
-        """The next messages: urgent answers, other answers, then events, then retained topics; each is returned again until it is `done`.
+        """The next messages, each of which is returned again until it is `done`.
+
+        Urgent answers come first, then other answers, events, retained topics.
 
         Args:
             most: maximum number.

@@ -328,17 +328,19 @@ class Transactions:
             rows, values = dict(self._memory.rows), dict(self._memory.values)
             if not rows and not values:
                 return True
+            forgotten: list[str] = []
             try:
-                self._memory.forget(await self._run(lambda: self._store_all(rows, values)))
+                await self._run(lambda: self._store_all(rows, values, forgotten))
             except RefusedRequestError as error:
                 _log.error("responses could not be stored, kept in memory", count=len(rows), error=error.message)
                 return False
+            finally:
+                self._memory.forget(forgotten)
             self._memory.written(rows, values)
             return True
 
-    def _store_all(self, rows: Mapping[str, Known], values: Mapping[str, str | None]) -> list[str]:
-        """Returns the transactions that are forgotten."""
-        forgotten: list[str] = []
+    def _store_all(self, rows: Mapping[str, Known], values: Mapping[str, str | None], forgotten: list[str]) -> None:
+        """Adds the transactions that the disk forgets to `forgotten`, also if it refuses a later one."""
         for name, value in values.items():
             self._store_value(name, value)
         for key, known in rows.items():
@@ -347,14 +349,14 @@ class Transactions:
             with contextlib.suppress(RefusedRequestError):
                 if self._note(key, known.command, known.digest).status != "answered":
                     forgotten += self._store_response(key, known.command, known.response.decode())
-        return forgotten
 
     def _store_response(self, key: str, command: str, response: str) -> list[str]:
         """Returns the transactions that are forgotten."""
         with self._database() as database:
             database.execute("UPDATE transactions SET response = ? WHERE id = ?", (response, key))
-            forgotten = list(self._retention.answered(key, command, response))
+            forgotten = self._retention.due(command, response)
             database.executemany("DELETE FROM transactions WHERE id = ?", [(one,) for one in forgotten])
+        self._retention.answered(key, command, response)
         return forgotten
 
     def _store_value(self, key: str, value: str | None) -> None:

@@ -159,7 +159,7 @@ async def lockout(bench: Bench, name: str) -> None:
 
 async def full_disk(bench: Bench, name: str) -> None:
     """Not a byte left."""
-    mission = await bench.ground.start(f"{name} start")
+    await bench.ground.start(f"{name} start")
     await asyncio.sleep(bench.rng.uniform(0.0, 0.3))
     filler = fill(bench.folder / "data")
     answer = await bench.stop(f"{name} abort")
