@@ -303,6 +303,14 @@ async def test_an_answer_that_could_not_be_stored_is_given_again_and_stored_late
     await store.close()
 
 
+async def test_the_log_beside_the_file_stays_small(tmp_path: Path) -> None:
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="first")
+    for number in range(100):
+        await a_stop(store, f'"s{number}"')
+    assert (tmp_path / "t.sqlite-wal").stat().st_size < 600_000
+    await store.close()
+
+
 async def test_a_stop_is_forgotten_when_the_disk_forgets_it_and_not_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
