@@ -18,7 +18,7 @@ from panoexec.errors import UsageError
 from panoexec.mqtt.sealed_tables import DamagedTablesError, copy_true_rows, prepare_functions, prepare_tables
 
 _LOG_PAGES: Final = 100
-"""Pages of 4 kB after which the write-ahead log is merged into the file; by SQLite's default it takes 4 MB of the disk."""
+"""Pages of 4 kB after which the write-ahead log is merged into the file; by default it would take 4 MB of the disk."""
 
 _RECOVERABLE: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
 _PRIMARY: Final = 0xFF
