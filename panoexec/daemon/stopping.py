@@ -34,7 +34,10 @@ from panoexec.mqtt.transactions import Transactions
 DECLINED: Final = "declined mission"
 
 _JOURNAL_S: Final = 0.3
-"""How long a response waits for the journal."""
+"""How long after its arrival a request is answered without waiting for the journal any longer.
+
+Counted from the arrival, so that a computer that is short of processor time does not add to it.
+"""
 
 _log = structlog.get_logger(__name__)
 
@@ -142,7 +145,9 @@ class Stopping:
             if done.code == "internal":
                 _log.exception("internal error while handling the request", command=request.command)
             _log.warning("request failed", command=request.command, code=done.code, error=done.message[:300])
-        serving = self._transactions.serve_stop(request, self._response(request, done))
+        serving = self._transactions.serve_stop(
+            request, self._response(request, done, incoming.received_s), received_s=incoming.received_s
+        )
         self._group.create_task(serving, name=f"request {request.command}")
 
     def _execute(self, command: StopCommand, incoming: Incoming) -> _Effect:
@@ -191,12 +196,12 @@ class Stopping:
             return None
         return self._declined
 
-    async def _response(self, request: StopRequest, done: _Effect | RefusedRequestError) -> Response:
+    async def _response(self, request: StopRequest, done: _Effect | RefusedRequestError, received_s: float) -> Response:
         if isinstance(done, RefusedRequestError):
             return failed(done, request.transaction)
         mission, durable = done.mission, False
         try:
-            async with asyncio.timeout(_JOURNAL_S):
+            async with asyncio.timeout_at(received_s + _JOURNAL_S):
                 if mission is None and done.begins:
                     mission = await self._missions.under_way()
                 if mission is not None:
@@ -205,7 +210,7 @@ class Stopping:
         except TimeoutError:
             _log.warning("the command is not in the journal yet", command=request.command)
         if mission is None and not done.begins:
-            durable = await self._stored(request)
+            durable = await self._stored(request, received_s)
         elif done.lost and not durable:
             self._transactions.remember_later(DECLINED, done.lost)
         data: dict[str, Any] = {"mission_id": done.mission_id if mission is None else _id_of(mission)}
@@ -215,12 +220,12 @@ class Stopping:
             data["state"] = MissionState.IDLE.value
         return ok(request.transaction, data | {"durable": durable})
 
-    async def _stored(self, request: StopRequest) -> bool:
+    async def _stored(self, request: StopRequest, received_s: float) -> bool:
         """Whether a stop without a mission outlives the process: nothing begins, or the declined mission is stored."""
         if not isinstance(request, AbortRequest):
             return False  # kept for a mission that does not exist yet
         try:
-            async with asyncio.timeout(_JOURNAL_S):
+            async with asyncio.timeout_at(received_s + _JOURNAL_S):
                 return await self._transactions.write_back()
         except TimeoutError:
             return False

@@ -26,6 +26,7 @@ from panoexec.mqtt.client_id import another_client_id, client_id
 from panoexec.mqtt.dialer import TAKEN_OVER, Dialer, Terms
 from panoexec.mqtt.incoming import Inbox, Incoming, incoming_of
 from panoexec.mqtt.outbox import Outgoing
+from panoexec.mqtt.requests import STOPPING
 from panoexec.mqtt.sender import BATCH, PULSE_S, Sender, with_reason
 from panoexec.mqtt.subscribing import subscribe_requests, subscribe_state
 from panoexec.mqtt.topics import Topics, is_topic_part
@@ -132,7 +133,9 @@ class MqttLink:
             _log.warning("response topic rejected", topic=request.response_topic[:200], allowed_below=self.topics.base)
 
     def _answer(self, topic: str, payload: bytes, request: Incoming) -> None:
-        self._sender.put(Outgoing(topic=topic, payload=payload, answer=True, correlation=request.correlation))
+        urgent = request.command in STOPPING
+        message = Outgoing(topic=topic, payload=payload, answer=True, urgent=urgent, correlation=request.correlation)
+        self._sender.put(message)
 
     # --- connection
 

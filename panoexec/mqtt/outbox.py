@@ -1,7 +1,8 @@
 """Outgoing messages while the broker is lost or slow: bounded, in order, latest message per retained topic.
 
 Answers, events and retained topics are kept apart, so that a flood of requests pushes no event out, and so that an
-answer does not wait behind the events of a mission.
+answer does not wait behind the events of a mission. Answers to stopping requests have a queue of their own before all
+others: a flood of other requests neither delays them nor pushes them out.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ class Outgoing:
         payload: payload bytes; an empty retained message clears the topic.
         retain: whether only the latest message of the topic is of interest, and is to be retained.
         answer: whether it answers a request.
+        urgent: whether it is an answer that goes before all others.
         correlation: correlation data of the answered request (MQTT 5).
     """
 
@@ -37,6 +39,7 @@ class Outgoing:
     payload: bytes
     retain: bool = False
     answer: bool = False
+    urgent: bool = False
     correlation: bytes | None = None
 
     @property
@@ -78,7 +81,7 @@ class Outbox:
     Args:
         limit: maximum number of events; the oldest ones are dropped beyond it.
         limit_bytes: maximum total size of their payloads.
-        answers: maximum number of answers.
+        answers: maximum number of answers, and of urgent ones.
         answers_bytes: maximum total size of their payloads.
         clock: monotonic seconds.
 
@@ -101,6 +104,7 @@ class Outbox:
         self._clock = clock
         self._events = _Bounded(limit, limit_bytes)
         self._answers = _Bounded(answers, answers_bytes)
+        self._urgent = _Bounded(answers, answers_bytes)
         self._retained: dict[str, Outgoing] = {}
         self._stale: dict[str, float] = {}
         """Topics whose latest message is to be sent, and since when."""
@@ -108,7 +112,7 @@ class Outbox:
         """Payloads that the broker has acknowledged on this connection."""
 
     def __len__(self) -> int:
-        return len(self._answers.messages) + len(self._events.messages) + len(self._stale)
+        return sum(len(queue.messages) for queue in (self._urgent, self._answers, self._events)) + len(self._stale)
 
     def put(self, message: Outgoing) -> None:
         """Add a message."""
@@ -116,7 +120,7 @@ class Outbox:
             self._retained[message.topic] = message
             self._stale.setdefault(message.topic, self._clock())
         else:
-            self.dropped += (self._answers if message.answer else self._events).put(message)
+            self.dropped += self._queue_of(message).put(message)
         self.filled.set()
 
     def is_held(self, message: Outgoing) -> bool:
@@ -137,7 +141,9 @@ class Outbox:
         *,
         may_go: Callable[[Outgoing, float], bool] = lambda _message, _waited_s: True,
     ) -> list[Outgoing]:
-        """The next messages: answers, then events, then retained topics; each is returned again until it is `done`.
+        """The next messages, each of which is returned again until it is `done`.
+
+        Urgent answers come first, then other answers, events, retained topics.
 
         Args:
             most: maximum number.
@@ -154,6 +160,7 @@ class Outbox:
         return out
 
     def _in_order(self, may_go: Callable[[Outgoing, float], bool]) -> Iterator[Outgoing]:
+        yield from self._urgent.messages
         yield from self._answers.messages
         now = self._clock()
         waiting = [(self._retained[topic], now - since) for topic, since in self._stale.items()]
@@ -185,8 +192,13 @@ class Outbox:
             self._remove(message)
         self._clear_if_empty()
 
+    def _queue_of(self, message: Outgoing) -> _Bounded:
+        if message.urgent:
+            return self._urgent
+        return self._answers if message.answer else self._events
+
     def _remove(self, message: Outgoing) -> None:
-        (self._answers if message.answer else self._events).remove(message)
+        self._queue_of(message).remove(message)
 
     def _clear_if_empty(self) -> None:
         if not len(self):

@@ -7,10 +7,10 @@ companion computer may begin in 1970.
 
 from __future__ import annotations
 
+import itertools
 import json
 import sqlite3
 from collections import defaultdict, deque
-from collections.abc import Iterator
 from typing import Final
 
 KEPT: Final = 10_000
@@ -32,12 +32,17 @@ class Retention:
         ):
             self._kinds[_kind(command, response)].append(key)
 
-    def answered(self, key: str, command: str, response: str) -> Iterator[str]:
-        """Note an answer; yields the transactions to be forgotten."""
+    def due(self, command: str, response: str) -> list[str]:
+        """The transactions to be forgotten when this answer is stored; nothing changes yet, as it may not be stored."""
+        kind = self._kinds[_kind(command, response)]
+        return list(itertools.islice(kind, max(0, len(kind) + 1 - KEPT)))
+
+    def answered(self, key: str, command: str, response: str) -> None:
+        """Note an answer that is on disk now, and that those that were `due` are not any more."""
         kind = self._kinds[_kind(command, response)]
         kind.append(key)
         while len(kind) > KEPT:
-            yield kind.popleft()
+            kind.popleft()
 
 
 def _kind(command: str, response: str) -> tuple[str, bool]:

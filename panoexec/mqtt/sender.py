@@ -8,6 +8,7 @@ import json
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 import aiomqtt
@@ -248,7 +249,7 @@ def _without_data(message: Outgoing) -> Outgoing | None:
     if not isinstance(answer, dict) or answer.get("data") is None:
         return None
     payload = json.dumps(answer | {"data": None}, separators=(",", ":")).encode("ascii")
-    return Outgoing(topic=message.topic, payload=payload, answer=True, correlation=message.correlation)
+    return replace(message, payload=payload)
 
 
 def with_reason(client: aiomqtt.Client, error: aiomqtt.MqttError) -> aiomqtt.MqttError:

@@ -17,6 +17,9 @@ from panoexec.durable.wal_check import examine_log
 from panoexec.errors import UsageError
 from panoexec.mqtt.sealed_tables import DamagedTablesError, copy_true_rows, prepare_functions, prepare_tables
 
+_LOG_PAGES: Final = 100
+"""Pages of 4 kB after which the write-ahead log is merged into the file; by default it would take 4 MB of the disk."""
+
 _RECOVERABLE: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
 _PRIMARY: Final = 0xFF
 """Mask of the primary result code in an extended result code of SQLite."""
@@ -140,6 +143,7 @@ def _prepared(connection: sqlite3.Connection) -> sqlite3.Connection:
         connection.execute("PRAGMA locking_mode = EXCLUSIVE")
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")
+        connection.execute(f"PRAGMA wal_autocheckpoint = {_LOG_PAGES}")
         connection.execute("BEGIN EXCLUSIVE")  # takes the lock now: two daemons must not share a storage
         connection.execute("COMMIT")
         prepare_functions(connection)

@@ -52,8 +52,8 @@ KEPT_IN_MEMORY: Final = 200
 MAX_UNDER_WAY: Final = 64
 """Requests that may be in progress at the same time, and repeats of one that get its response."""
 
-STOP_WRITE_S: Final = 0.2
-"""How long the response to a stopping request waits for the disk."""
+STOP_WRITE_S: Final = 0.5
+"""How long after its arrival a stopping request is answered at the latest, whether its response is on disk or not."""
 
 _log = structlog.get_logger(__name__)
 
@@ -212,19 +212,20 @@ class Transactions:
             same.replies.append(reply)
         return True
 
-    async def serve_stop(self, request: Request, executed: Awaitable[Response]) -> None:
-        """Send the response to all who entered this stopping request, after it was stored or `STOP_WRITE_S` passed.
+    async def serve_stop(self, request: Request, executed: Awaitable[Response], *, received_s: float) -> None:
+        """Send the response to all who entered this stopping request, when it is stored or `STOP_WRITE_S` have passed.
 
         Args:
             request: the request, which was executed.
             executed: returns its response.
+            received_s: time.monotonic of its arrival, the event loop's clock.
         """
         key = key_of(request)
         try:
             payload = dump(await executed)
             self._memory.answered(request, payload)
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(STOP_WRITE_S):
+                async with asyncio.timeout_at(received_s + STOP_WRITE_S):
                     await self.write_back()
         finally:
             replies = self._under_way.pop(key).replies
@@ -327,17 +328,19 @@ class Transactions:
             rows, values = dict(self._memory.rows), dict(self._memory.values)
             if not rows and not values:
                 return True
+            forgotten: list[str] = []
             try:
-                self._memory.forget(await self._run(lambda: self._store_all(rows, values)))
+                await self._run(lambda: self._store_all(rows, values, forgotten))
             except RefusedRequestError as error:
                 _log.error("responses could not be stored, kept in memory", count=len(rows), error=error.message)
                 return False
+            finally:
+                self._memory.forget(forgotten)
             self._memory.written(rows, values)
             return True
 
-    def _store_all(self, rows: Mapping[str, Known], values: Mapping[str, str | None]) -> list[str]:
-        """Returns the transactions that are forgotten."""
-        forgotten: list[str] = []
+    def _store_all(self, rows: Mapping[str, Known], values: Mapping[str, str | None], forgotten: list[str]) -> None:
+        """Adds the transactions that the disk forgets to `forgotten`, also if it refuses a later one."""
         for name, value in values.items():
             self._store_value(name, value)
         for key, known in rows.items():
@@ -346,14 +349,14 @@ class Transactions:
             with contextlib.suppress(RefusedRequestError):
                 if self._note(key, known.command, known.digest).status != "answered":
                     forgotten += self._store_response(key, known.command, known.response.decode())
-        return forgotten
 
     def _store_response(self, key: str, command: str, response: str) -> list[str]:
         """Returns the transactions that are forgotten."""
         with self._database() as database:
             database.execute("UPDATE transactions SET response = ? WHERE id = ?", (response, key))
-            forgotten = list(self._retention.answered(key, command, response))
+            forgotten = self._retention.due(command, response)
             database.executemany("DELETE FROM transactions WHERE id = ?", [(one,) for one in forgotten])
+        self._retention.answered(key, command, response)
         return forgotten
 
     def _store_value(self, key: str, value: str | None) -> None:

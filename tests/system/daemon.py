@@ -46,11 +46,15 @@ class Ground:
                 ) as client:
                     await client.subscribe(f"{BASE}/#", qos=1)
                     self._client = client
+                    self._connected()
                     async for message in client.messages:
                         self._take(str(message.topic).removeprefix(f"{BASE}/"), bytes(message.payload))
             except aiomqtt.MqttError:
                 self._client = None
                 await asyncio.sleep(0.05)
+
+    def _connected(self) -> None:
+        """Called at each connection."""
 
     def _take(self, topic: str, payload: bytes) -> None:
         self._hold_to_document(topic, payload)
@@ -128,8 +132,12 @@ async def serving(
     mqtt: str = "",
     notify: Path | None = None,
     speedup: float = SPEEDUP,
+    own_session: bool = False,
 ) -> AsyncIterator[asyncio.subprocess.Process]:
-    """The daemon while the block runs; killed at its end if it still runs."""
+    """The daemon while the block runs; killed at its end if it still runs.
+
+    With a session of its own, the kernel schedules it as a group of its own, as it does a service.
+    """
     config = write_config(folder, broker, port, more=more, mqtt=mqtt)
     environment = {name: value for name, value in os.environ.items() if name != "NOTIFY_SOCKET"}
     if notify is not None:
@@ -141,6 +149,7 @@ async def serving(
             stdout=log,
             stderr=log,
             env=environment,
+            start_new_session=own_session,
         )
         try:
             yield process

@@ -8,6 +8,7 @@ the chapters of one story and need each other, in this order.
 from __future__ import annotations
 
 import asyncio
+import grp
 import json
 import os
 import pwd
@@ -26,8 +27,10 @@ from panoexec.sim.process import free_udp_port
 from tests.repository import ROOT
 from tests.system.daemon import SMALL, ground_station
 from tests.system.systemd import CONFIG, STATE, UNIT, nothing_left, running, sh, show, wait, why_not
+from tests.system.test_stops import TELE
 from tests.wire.broker import Broker, needs_mosquitto, running_broker
 
+SLOW = {"camera": TELE, "elevation_deg": [-90, 90], "overlap": 0.2}
 DROP_IN = Path(f"/run/systemd/system/{UNIT}.d/test.conf")
 WATCHDOG_S = 6
 EDITED = "# edited by the administrator of this machine\n"
@@ -174,6 +177,49 @@ async def test_a_reload_reads_the_configuration_again(machine: Machine) -> None:
     wait("running after the reload", running)
 
 
+async def test_the_planner_runs_behind_the_daemon_and_is_what_the_kernel_ends(machine: Machine) -> None:
+    daemon, restarts = int(show("MainPID")), show("NRestarts")
+    assert os.getpriority(os.PRIO_PROCESS, daemon) == -5
+    assert _oom_score(daemon) == -500
+    async with ground_station(machine.broker) as ground:
+        await ground.until(lambda: ground.status == "online")
+        await ground.send("plan", json.dumps({"transaction": "slow", **SLOW}).encode())
+        await ground.until(lambda: _children(daemon) and _oom_score(_children(daemon)[0]) == 900)
+        (planner,) = _children(daemon)
+        # the filter of system calls lets the planner lower its priority
+        assert os.getpriority(os.PRIO_PROCESS, planner) == 0
+        group = _memory_group(planner)
+        if group is None:
+            os.kill(planner, signal.SIGKILL)  # as the kernel does
+        else:
+            room = int((group / "memory.current").read_text()) + 2**20
+            sh("systemctl", "set-property", "--runtime", UNIT, f"MemoryMax={room}")
+        await ground.until(lambda: "slow" in ground.answers)
+        assert ground.answers["slow"]["error"]["code"] == "planning_budget", ground.answers["slow"]
+        if group is not None:
+            events = dict(line.split() for line in (group / "memory.events").read_text().splitlines())
+            assert int(events["oom_kill"]) >= 1
+            sh("systemctl", "set-property", "--runtime", UNIT, "MemoryMax=600M")
+        assert (await ground.ask("get", "lives"))["status"] == "ok"
+    assert running()
+    assert (int(show("MainPID")), show("NRestarts")) == (daemon, restarts)
+
+
+def _children(pid: int) -> list[int]:
+    return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def _oom_score(pid: int) -> int:
+    return int(Path(f"/proc/{pid}/oom_score_adj").read_text())
+
+
+def _memory_group(pid: int) -> Path | None:
+    """The control group (version 2) that limits the memory of a process; None where there is none."""
+    unified = next(line for line in Path(f"/proc/{pid}/cgroup").read_text().splitlines() if line.startswith("0::"))
+    group = Path("/sys/fs/cgroup") / unified.removeprefix("0::/")
+    return group if (group / "memory.current").exists() else None
+
+
 def test_a_wrong_configuration_is_told_once_and_not_tried_again(machine: Machine) -> None:
     machine.configure('[log]\nlevel = "shout"\n')
     with pytest.raises(AssertionError):
@@ -211,6 +257,10 @@ async def test_an_upgrade_in_a_mission_keeps_configuration_and_missions_and_goes
         assert (STATE / "missions" / mission / "journal.sqlite").stat().st_size > 0
 
 
+def _status(pid: int) -> list[str]:
+    return Path(f"/proc/{pid}/status").read_text().splitlines()
+
+
 def _newer(package: Path, folder: Path) -> Path:
     """The same with a higher version and another configuration, as a release has."""
     tree, out = folder / "tree", folder / "newer.deb"
@@ -231,6 +281,8 @@ def test_removed_it_leaves_configuration_and_missions_purged_nothing(machine: Ma
     DROP_IN.unlink()
     sh("systemctl", "daemon-reload")
     sh("systemctl", "restart", UNIT)
+    groups = next(line for line in _status(int(show("MainPID"))) if line.startswith("Groups:")).split()
+    assert str(grp.getgrnam("dialout").gr_gid) in groups, "it may open serial ports"
     sh("dpkg", "--remove", "panoexec")
     assert show("ActiveState") == "inactive"
     assert CONFIG.exists()

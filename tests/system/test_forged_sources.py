@@ -1,7 +1,7 @@
 """Missions on a network with a forger: whatever it tells from ids of its own, nothing accepted is untrue.
 
 `PANOEXEC_FORGED=200` flies that many missions, each with another seed; without it one. `PANOEXEC_FORGED_SEED` is the
-first seed.
+first seed. A fourth as many, at least two, lose the gimbal, whose part a stranger plays.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from tests.support.forger import SECRET, Forger, forged
 from tests.support.truth import untruths
 
 MISSIONS = int(os.environ.get("PANOEXEC_FORGED", "1"))
+SILENCES = max(2, MISSIONS // 4)
 FIRST_SEED = int(os.environ.get("PANOEXEC_FORGED_SEED", "1"))
 TOLERANCE = Tolerance(pitch_deg=0.15, roll_deg=0.15, yaw_deg=0.7)
 
@@ -77,3 +78,26 @@ async def test_no_mission_accepts_what_a_forger_tells(tmp_path: Path, monkeypatc
         )
     print(f"{complete} of {MISSIONS} missions complete")
     assert complete == MISSIONS, "and none is kept from its end"
+
+
+async def test_a_stranger_is_not_taken_for_a_gimbal_that_falls_silent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The gimbal loses power, while component 155 and others tell attitudes that are right at every target.
+
+    With every other seed it comes back, and the mission is completed.
+    """
+    for seed in range(FIRST_SEED, FIRST_SEED + SILENCES):
+        forger = Forger(seed, strangers=False)
+        for_good = seed % 2 == 0
+        span = f"{forger.random.uniform(0.1, 1.5):.1f}+{3600 if for_good else forger.random.uniform(2.0, 10.0):.1f}"
+        faults = (f"attitude-stop={span}", f"gimbal-stuck={span}")
+        summary, manifest = await fly(tmp_path / str(seed), forger, monkeypatch, *faults, seed=seed)
+        story = f"seed {seed}, gimbal silent {span}: {summary.state}, {summary.accepted}/{summary.shots}"
+        print(f"{story}; {summary.reason}")
+        assert untruths(summary.directory) == [], story
+        assert (summary.state == "complete") != for_good, f"{story}; {summary.reason}"
+        if for_good:
+            assert summary.accepted < summary.shots, story
+            missing = [shot for shot in manifest["shots"] if shot["status"] != "accepted"]
+            assert len(missing) == summary.shots - summary.accepted, story

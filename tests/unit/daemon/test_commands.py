@@ -35,7 +35,8 @@ class Desk:
 
     def ask(self, command: str, transaction: object, *, expires_s: float = float("inf"), **fields: Any) -> None:
         payload = json.dumps({"transaction": transaction} | fields).encode()
-        incoming = Incoming(command=command, payload=payload, size=len(payload), expires_s=expires_s)
+        now_s = time.monotonic()
+        incoming = Incoming(command=command, payload=payload, size=len(payload), received_s=now_s, expires_s=expires_s)
         self.commands.take(incoming)
 
     async def heard(self, count: int) -> list[dict[str, Any]]:

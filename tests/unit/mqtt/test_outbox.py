@@ -10,8 +10,10 @@ from panoexec.mqtt.outbox import OVERDUE_S, Outbox, Outgoing
 from panoexec.mqtt.suspicion import Suspicion
 
 
-def message(topic: str, payload: bytes = b"x", *, retain: bool = False, answer: bool = False) -> Outgoing:
-    return Outgoing(topic=topic, payload=payload, retain=retain, answer=answer)
+def message(
+    topic: str, payload: bytes = b"x", *, retain: bool = False, answer: bool = False, urgent: bool = False
+) -> Outgoing:
+    return Outgoing(topic=topic, payload=payload, retain=retain, answer=answer, urgent=urgent)
 
 
 async def test_the_outbox_keeps_order_and_only_the_newest_retained() -> None:
@@ -38,6 +40,19 @@ async def test_a_state_that_changed_while_the_old_one_was_sent_goes_out_too() ->
     box.put(message("state", b"new", retain=True))
     box.done(sent)
     assert [one.payload for one in box.take(1)] == [b"new"]
+
+
+async def test_an_urgent_answer_goes_before_a_flood_of_others_and_is_not_pushed_out_by_it() -> None:
+    box = Outbox(answers=3)
+    box.put(message("response/abort", b"stopped", answer=True, urgent=True))
+    for number in range(5):
+        box.put(message("response/plan", str(number).encode(), answer=True))
+    assert [one.payload for one in box.take(10)] == [b"stopped", b"2", b"3", b"4"]
+    assert len(box) == 4
+    for one in box.take(10):
+        box.done(one)
+    assert len(box) == 0
+    assert not box.filled.is_set()
 
 
 async def test_the_outbox_is_bounded_by_number_and_bytes() -> None:

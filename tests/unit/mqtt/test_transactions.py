@@ -219,7 +219,7 @@ async def a_stop(store: Transactions, transaction: str = '"s"', more: str = "") 
         return ok(request.transaction, {"shot": len(acted)})
 
     if store.enter_stop(request, lambda payload: answers.append(json.loads(payload))):
-        await store.serve_stop(request, executed())
+        await store.serve_stop(request, executed(), received_s=time.monotonic())
     return answers
 
 
@@ -300,4 +300,68 @@ async def test_an_answer_that_could_not_be_stored_is_given_again_and_stored_late
     await store.close()
     store = await Transactions.open(tmp_path / "t.sqlite", boot_id="second")
     assert (await store.note(a_request(command="skip"))).response.encode() == answers[0]
+    await store.close()
+
+
+async def test_the_log_beside_the_file_stays_small(tmp_path: Path) -> None:
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="first")
+    for number in range(100):
+        await a_stop(store, f'"s{number}"')
+    assert (tmp_path / "t.sqlite-wal").stat().st_size < 600_000
+    await store.close()
+
+
+async def test_a_stop_is_forgotten_when_the_disk_forgets_it_and_not_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("panoexec.mqtt.retention.KEPT", 2)
+    acted.clear()
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="first")
+
+    def known() -> list[str]:
+        return [one for one in ("a", "b", "c", "d", "e") if store._memory.find(a_request(f'"{one}"', "abort"))]
+
+    for transaction in ('"a"', '"b"'):
+        await a_stop(store, transaction)
+    assert known() == ["a", "b"]
+    store._database().execute("PRAGMA query_only = ON")
+    for transaction in ('"c"', '"d"'):
+        await a_stop(store, transaction)
+    assert known() == ["a", "b", "c", "d"], "the disk has forgotten none"
+    for transaction in ('"a"', '"b"', '"c"', '"d"'):
+        await a_stop(store, transaction)
+    assert acted == ['"a"', '"b"', '"c"', '"d"'], "none acts twice"
+
+    store._database().execute("PRAGMA query_only = OFF")
+    assert await store.write_back()
+    assert known() == ["c", "d"]
+    on_disk = store._database().execute("SELECT id FROM transactions ORDER BY number").fetchall()
+    assert on_disk == [('"c"',), ('"d"',)]
+    await a_stop(store, '"e"')
+    assert known() == ["d", "e"], "what the disk refused counts once"
+    await store.close()
+
+
+async def test_what_the_disk_forgot_before_it_failed_is_forgotten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("panoexec.mqtt.retention.KEPT", 1)
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="first")
+    await a_stop(store, '"a"')
+    store._database().execute("PRAGMA query_only = ON")
+    for transaction in ('"b"', '"c"'):
+        await a_stop(store, transaction)
+    store._database().execute("PRAGMA query_only = OFF")
+    real = store._store_response
+
+    def fails_at_c(key: str, command: str, response: str) -> list[str]:
+        if key == '"c"':
+            raise sqlite3.OperationalError("disk full")
+        return real(key, command, response)
+
+    monkeypatch.setattr(store, "_store_response", fails_at_c)
+    assert not await store.write_back()
+    assert store._memory.find(a_request('"a"', "abort")) is None
+    assert store._memory.find(a_request('"b"', "abort")) is not None
+    monkeypatch.undo()
     await store.close()
