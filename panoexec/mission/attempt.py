@@ -30,6 +30,7 @@ from panoexec.mission.pointing.tolerance_gate import (
 from panoexec.mission.preflight import gimbal_limits
 from panoexec.mission.protocols import MayFireLate, PacesPhotos, PhotoRecall
 from panoexec.mission.settings import MissionSettings
+from panoexec.mission.settle_wait import SettleWait
 from panoexec.mission.waiting import until, within
 from panoexec.planning.model import Shot
 from panoexec.planning.order.duration import slew_time_s
@@ -59,8 +60,6 @@ OLDEST_REPORT_S = 2.0
 """Longest wait for the reports of an exposure. Where a slew is seen later than that, no pose is verified."""
 BEFORE_SLEW_S = 1.5
 """Samples of so long before a slew are read, to know where it began: idle streams come once a second."""
-LAST_SLEEP_S = 0.05
-"""The last part of a wait for the settle time, slept without reading samples; earlier ones are judged before it."""
 
 
 @dataclass(kw_only=True)
@@ -141,19 +140,22 @@ class Shooter:
         target = self._target(shot)
         tracker = SettleTracker(target=target, limits=limits)
         bound_s = expected_s + self.settings.settle_s + patience_s
-        wait = _SettleWait(
+        wait = SettleWait(
+            poses=self.poses,
+            feed=self.gimbal.feed,
+            clock=self.clock,
+            settle_s=self.settings.settle_s,
             tracker=tracker,
+            next_trigger_s=lambda: self._next_trigger_s,
+            heading_controller=self.heading_controller,
+            vehicle_pans=self._vehicle_pans,
             commanded_s=commanded_s,
             bound_s=bound_s,
-            deadline_s=commanded_s + bound_s,
-            newest_s=commanded_s,
         )
-        done, settled_s = await until(
-            self._timed_out(wait), self._await_settled(wait, clear), f"settle shot {shot.index}"
-        )
+        done, settled_s = await until(wait.timed_out(), wait.settled(clear), f"settle shot {shot.index}")
         settled = done and settled_s is not None
         if not settled:
-            self._read(wait)
+            wait.read()
         self._observe(shot, commanded_s, settled=settled)
         if self.echo.reason:
             return NotSettled(code="echo", reason=f"the gimbal's reports are no feedback: {self.echo.reason}")
@@ -397,97 +399,7 @@ class Shooter:
         """When the next trigger may be sent: after the configured interval, or what is known of the camera's."""
         return max(self._ready_s, self.camera.ready_s) if isinstance(self.camera, PacesPhotos) else self._ready_s
 
-    async def _await_settled(self, wait: _SettleWait, clear: Callable[[], asyncio.Event | None]) -> float:
-        """Feed the tracker until the trigger may be sent; returns when its last condition was met.
-
-        The pose cannot be settled before the settle time has passed since the newest sample out of tolerance. Until
-        then samples are collected and judged in one batch: waking up for each sample would dominate the CPU time of
-        the slew.
-        """
-        tracker, free_s = wait.tracker, wait.commanded_s
-        heading_controller = self.heading_controller if self._vehicle_pans else None
-        turn_ends_at_s = -math.inf if self.heading_controller is None else self.heading_controller.turn_ends_at_s
-        while True:
-            await asyncio.sleep(0)  # let other tasks run even if samples arrive faster than they are read
-            self._read(wait, heading_controller)
-            now_s = self.clock.monotonic()
-            if (
-                heading_controller is not None
-                and math.isnan(tracker.inside_since_s)
-                and heading_controller.is_off(now_s)
-            ):
-                await heading_controller.correct()
-            if not tracker.is_settled(now_s):
-                await self._await_samples(wait, now_s, every_sample=heading_controller is not None)
-                continue
-            blocker, left_s = clear(), max(self._interval_left_s(), turn_ends_at_s - self.clock.monotonic())
-            if blocker is None and left_s <= 0:
-                return max(tracker.settled_at_s, free_s)
-            wait.trigger_held = True
-            if blocker is not None:
-                await blocker.wait()
-                free_s = self.clock.monotonic()
-            else:
-                await self._sleep_most_of(left_s)
-                free_s = self._next_trigger_s
-            wait.trigger_held = False
-            wait.deadline_s = max(wait.deadline_s, free_s + wait.bound_s)
-
-    def _read(self, wait: _SettleWait, heading_controller: HeadingController | None = None) -> None:
-        """Feed the tracker with the new samples."""
-        readings = self.poses.since(wait.newest_s)
-        if not readings:
-            return
-        wait.newest_s = readings[-1].time_s
-        if heading_controller is None:
-            wait.tracker.add(*readings)
-            return
-        for reading in readings:
-            wait.tracker.add(reading)
-            if wait.tracker.error is not None:
-                heading_controller.note(reading.time_s, float(wait.tracker.error.yaw_deg))
-
-    async def _await_samples(self, wait: _SettleWait, now_s: float, *, every_sample: bool) -> None:
-        """Return at the earliest time at which the pose can be settled, or with the next sample if that is near."""
-        settled_at_s = wait.tracker.settled_at_s
-        if math.isnan(settled_at_s):
-            settled_at_s = wait.newest_s + self.settings.settle_s
-        left_s = settled_at_s - now_s
-        if left_s > 0 and (not every_sample or left_s < LAST_SLEEP_S):
-            await self._sleep_most_of(left_s)
-        else:
-            await self.gimbal.feed.newer_than(wait.newest_s)
-
-    async def _sleep_most_of(self, left_s: float) -> None:
-        """Sleep until `LAST_SLEEP_S` before the end, or to the end, so that collected samples are judged in time."""
-        await self.clock.sleep(left_s - LAST_SLEEP_S if left_s > LAST_SLEEP_S else left_s)
-
-    async def _timed_out(self, wait: _SettleWait) -> None:
-        """Return at the settle timeout; it does not apply while the pose is settled and the trigger is held."""
-        while True:
-            await self.clock.sleep(max(wait.deadline_s - self.clock.monotonic(), 0.05))
-            now = self.clock.monotonic()
-            if now >= wait.deadline_s and not wait.trigger_held and not wait.tracker.is_settled(now):
-                return
-
 
 async def _fired(capture: PendingCapture) -> float:
     """See `MayFireLate.fired`."""
     return await capture.fired() if isinstance(capture, MayFireLate) else capture.commanded_s
-
-
-@dataclass(kw_only=True)
-class _SettleWait:
-    """The wait for one pose to settle; the deadline moves when the trigger is held for other reasons.
-
-    Attributes:
-        newest_s: time of the tracker's newest sample.
-        trigger_held: the pose was settled, but the trigger is blocked for another reason.
-    """
-
-    tracker: SettleTracker
-    commanded_s: float
-    bound_s: float
-    deadline_s: float
-    newest_s: float
-    trigger_held: bool = False

@@ -163,3 +163,15 @@ def test_the_age_of_reports_is_seen_in_slews(delay_s: float) -> None:
     for start, target in itertools.pairwise(POSES):
         slew(watch, start, target, takes_s=0.9, noise_deg=0.05, delay_s=delay_s)
     assert watch.delay_s == pytest.approx(delay_s, abs=0.06)
+
+
+def test_a_stream_that_falls_behind_is_waited_for_at_once() -> None:
+    watch = EchoWatch()
+    assert math.isnan(watch.longest_delay_s)
+    for start, target in itertools.pairwise(POSES[:4]):
+        slew(watch, start, target, takes_s=1.0, noise_deg=0.01)
+    usual_s = watch.delay_s
+    assert watch.longest_delay_s == pytest.approx(usual_s, abs=0.05)
+    slew(watch, POSES[3], POSES[4], takes_s=1.0, noise_deg=0.01, delay_s=1.0)
+    assert watch.longest_delay_s == pytest.approx(usual_s + 1.0, abs=0.1)
+    assert watch.delay_s == pytest.approx(usual_s, abs=0.05), "the median is that of before"
