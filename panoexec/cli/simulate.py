@@ -75,7 +75,8 @@ def _how_to_connect(config: SimConfig, connect: str) -> list[str]:
     if config.attach_url is not None:
         return [
             f"payload attached to {config.attach_url}: gimbal = component 154, camera = component 100",
-            "the autopilot needs MNT1_TYPE 6; it searches for the gimbal from 10 s after its boot",
+            "ArduPilot needs MNT1_TYPE 6; it searches for the gimbal from 10 s after its boot until it is armed",
+            "PX4 needs MNT_MODE_IN 4, MNT_MODE_OUT 2 and here a MAVLink link of mode gimbal that forwards",
         ]
     what = "ArduPilot copter" if config.autopilot == "ardupilot" else "PX4 copter"
     # with --listen there is one default port, otherwise there are two

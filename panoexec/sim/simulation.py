@@ -177,7 +177,7 @@ class Simulation:
             if faults.fires("mode-change", now):
                 vehicle.modes.set(vehicle.modes.pilot_mode)
             if faults.fires("rtl", now):
-                vehicle.modes.set("RTL")
+                vehicle.return_to_launch()
             vehicle.lose_gps(lost=faults.active("gps-lost", now))
 
     def _develop(self, exposure: Exposure, fix: Fix | None) -> str:

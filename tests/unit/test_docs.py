@@ -106,7 +106,7 @@ def test_the_readers_of_documents_find_what_is_in_them() -> None:
     assert ["cameras"] in mentioned(readme)
     sitl = typed(ROOT / "docs" / "sitl.md")
     assert ["dry-run", "--sitl", "--speedup", "5"] in sitl
-    assert len(sitl) == 3
+    assert len(sitl) == 6
     assert sum(len(typed(document)) for document in DOCUMENTS) >= 15
     assert "messages-to-the-pilot-statustext" in anchors(ROOT / "docs" / "mission.md")
     with pytest.raises(UsageError, match="--speed"):

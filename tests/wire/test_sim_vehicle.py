@@ -13,7 +13,7 @@ from panoexec.angles import rotation, rotation_from_quaternion, yaw_pitch_roll, 
 from panoexec.planning.geometry.pose_error import pose_error
 from panoexec.sim.config import AirframeConfig, CameraConfig, GimbalConfig, SimConfig
 from panoexec.sim.mavlink.dialect import mavlink
-from tests.wire.sim_peer import EmbeddedPeer, Heard, command, result_of
+from tests.wire.sim_peer import COMPONENT, SYSTEM, EmbeddedPeer, Heard, command, result_of
 
 NAN = math.nan
 LOCK = mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK
@@ -214,7 +214,7 @@ def test_px4_default_streams_device_id_and_denial_without_control() -> None:
     assert len(named(heard, "ATTITUDE")) == 100
     assert named(heard, "GIMBAL_MANAGER_STATUS")[0].gimbal_device_id == 154
     assert ask(peer, command(PITCHYAW, -20, 0, NAN, NAN, LOCK, 0, 154))[0] == DENIED
-    assert ask(peer, command(CONFIGURE, -2, -2, -1, -1, 0, 0, 154))[0] == ACCEPTED
+    assert ask(peer, command(CONFIGURE, SYSTEM, COMPONENT, -1, -1, 0, 0, 154))[0] == ACCEPTED
     assert ask(peer, command(PITCHYAW, -20, 0, NAN, NAN, LOCK, 0, 154))[0] == ACCEPTED
     peer.listen(2.0)
     assert peer.simulation.physics.estimate.pitch_deg == pytest.approx(-20, abs=0.1)

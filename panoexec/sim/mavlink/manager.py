@@ -83,6 +83,7 @@ class GimbalManager:
         self._target = Target()
         self._device_flags = 0
         self._reported: tuple[float, ...] | None = None
+        self._device_information: Message | None = None
         self._device_rates: tuple[float, float, float] = (NAN, NAN, NAN)
         self.primary = (0, 0)
 
@@ -106,7 +107,7 @@ class GimbalManager:
 
     def command(self, command: Command) -> int:
         """DO_GIMBAL_MANAGER_PITCHYAW and DO_GIMBAL_MANAGER_CONFIGURE; MAV_RESULT."""
-        if int(command.params[6]) not in (0, self.device_id):
+        if not self._is_px4 and int(command.params[6]) not in (0, self.device_id):
             return int(mavlink.MAV_RESULT_FAILED)
         if command.id == mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE:
             return self._configure(command)
@@ -117,9 +118,8 @@ class GimbalManager:
         return self._point(pitch, yaw, pitch_rate, yaw_rate, flags)
 
     def set_pitchyaw(self, message: Message) -> None:
-        """GIMBAL_MANAGER_SET_PITCHYAW (287): as the command, in radians, without acknowledgement."""
-        sender = (message.get_srcSystem(), message.get_srcComponent())
-        if not self._is_px4 or self.primary == sender:
+        """GIMBAL_MANAGER_SET_PITCHYAW (287): as the command, in radians, without acknowledgement; unknown to PX4."""
+        if not self._is_px4:
             angles = (math.degrees(a) for a in (message.pitch, message.yaw, message.pitch_rate, message.yaw_rate))
             pitch, yaw, pitch_rate, yaw_rate = angles
             self._point(pitch, yaw, pitch_rate, yaw_rate, message.flags)
@@ -143,7 +143,12 @@ class GimbalManager:
         before = self.primary
         if math.isnan(system) or not -3 <= system <= 255 or not -3 <= component <= 255:
             return int(mavlink.MAV_RESULT_FAILED)
-        if system == -2:
+        if self._is_px4:
+            # each on its own; -2 means the autopilot itself
+            pairs = zip(self.primary, (system, component), command.sender, (self._config.system_id, 1), strict=True)
+            first, second = (_px4_control(*pair) for pair in pairs)
+            self.primary = first, second
+        elif system == -2:
             self.primary = command.sender
         elif system == -3:
             if self.primary == command.sender:
@@ -169,6 +174,17 @@ class GimbalManager:
             return int(mavlink.MAV_RESULT_FAILED)
         self.send_target()
         return int(mavlink.MAV_RESULT_ACCEPTED)
+
+    def take(self) -> None:
+        """The autopilot takes the gimbal."""
+        self.primary = (self._config.system_id, int(mavlink.MAV_COMP_ID_AUTOPILOT1))
+        self._changed(self.status())
+
+    def drop(self) -> None:
+        """The autopilot gives up the gimbal, if it has it."""
+        if self.primary == (self._config.system_id, int(mavlink.MAV_COMP_ID_AUTOPILOT1)):
+            self.primary = (0, 0)
+            self._changed(self.status())
 
     def steal(self, station: tuple[int, int]) -> None:
         """Another station takes control and points the gimbal ahead (fault)."""
@@ -203,8 +219,12 @@ class GimbalManager:
         self._driver.poll()
 
     def device_reported(self, message: Message) -> None:
-        """GIMBAL_DEVICE_ATTITUDE_STATUS (285) of a device; only that of the first gimbal is of interest."""
+        """GIMBAL_DEVICE_INFORMATION (283) or _ATTITUDE_STATUS (285); only those of the first gimbal are of interest."""
         if message.get_srcComponent() != mavlink.MAV_COMP_ID_GIMBAL:
+            return
+        if message.get_type() == "GIMBAL_DEVICE_INFORMATION":
+            self._device_information = message
+        if message.get_type() != "GIMBAL_DEVICE_ATTITUDE_STATUS":
             return
         w, x, y, z = message.q
         self._reported = (w, x, y, z)
@@ -216,6 +236,8 @@ class GimbalManager:
         """GIMBAL_DEVICE_ATTITUDE_STATUS under the autopilot's id: the device's last one, or the servos' demand."""
         if self._config.mount == "echo":
             return self._echo()
+        if self._is_px4 and self._config.mount == "mavlink":
+            return None  # only the device's own reports are forwarded
         if self._config.mount == "driver":
             q = self._driver.latest()
         else:
@@ -257,6 +279,17 @@ class GimbalManager:
         lean_pitch = state.pitch_deg * math.cos(bearing) - state.roll_deg * math.sin(bearing)
         return _euler_quaternion(-lean_roll, pitch - lean_pitch, yaw)
 
+    def device_information(self) -> Message | None:
+        """GIMBAL_DEVICE_INFORMATION of the device under the autopilot's id, as PX4 answers; None before it was told."""
+        told = self._device_information
+        if told is None:
+            return None
+        names = told.get_fieldnames()
+        fields = {name: getattr(told, name) for name in names} | {"gimbal_device_id": self.device_id}
+        for name in ("vendor_name", "model_name", "custom_name"):
+            fields[name] = fields[name].encode()
+        return mavlink.MAVLink_gimbal_device_information_message(**fields)
+
     def information(self) -> Message:
         """GIMBAL_MANAGER_INFORMATION (280): limits in radians."""
         c = self._physics.config
@@ -275,6 +308,13 @@ class GimbalManager:
         return mavlink.MAVLink_gimbal_manager_status_message(
             self._boot_ms(), flags, self.device_id, *self.primary, 0, 0
         )
+
+
+def _px4_control(now: int, asked: float, sender: int, own: int) -> int:
+    """System or component in control after a request: -1 leaves it, -2 is the autopilot's, -3 gives up the sender's."""
+    if asked == -1 or (asked == -3 and now != sender):
+        return now
+    return own if asked == -2 else 0 if asked == -3 else int(asked)
 
 
 def _euler_quaternion(roll_deg: float, pitch_deg: float, yaw_deg: float) -> tuple[float, ...]:

@@ -81,6 +81,11 @@ class FlightModes:
         return self.custom_mode == self._numbers["LOITER" if self._is_px4 else "GUIDED"]
 
     @property
+    def is_rtl(self) -> bool:
+        """Whether the mode returns to the launch position."""
+        return self.custom_mode == self._numbers["RTL"]
+
+    @property
     def is_landing(self) -> bool:
         """Whether the mode lands at the current position."""
         return self.custom_mode == self._numbers[self.land_mode]

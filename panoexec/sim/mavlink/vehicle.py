@@ -41,6 +41,10 @@ _PX4_STREAMS = {
 _ACCEPTED = int(mavlink.MAV_RESULT_ACCEPTED)
 _DENIED = int(mavlink.MAV_RESULT_DENIED)
 _REBOOT_S = 3.0
+_PX4_LOOKS_S = 1.0
+"""How long after its boot it looks for a gimbal."""
+_PX4_RTL_S = (0.3, 0.8)
+"""After a change to RTL it takes the gimbal, and drops it again (between two looks 0.2 s apart)."""
 _FORCED_REBOOT = 20190226
 """Sixth parameter of a reboot that ArduPilot carries out while armed."""
 _ESTIMATOR_S = 8.0
@@ -133,7 +137,11 @@ class Vehicle:
             mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION: self._manager_information,
             mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_STATUS: self.manager.status,
             mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: attitude,
-        }
+        } | (
+            {mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_INFORMATION: self.manager.device_information}
+            if self._config.autopilot == "px4"
+            else {}
+        )
 
     def _manager_information(self) -> Message:
         """GIMBAL_MANAGER_INFORMATION (280); as ArduPilot, it sends one for each gimbal that it drives."""
@@ -165,8 +173,19 @@ class Vehicle:
             )
             self._target_repeater.start(_TO_DEVICE_S[self._config.autopilot])
         if self._config.autopilot == "px4":
+            if self._config.mount == "mavlink":
+                # whoever is a gimbal answers
+                self._timeline.after(_PX4_LOOKS_S, lambda: self._payload.send(_gimbal_wanted()))
             for message_id, rate_hz in _PX4_STREAMS.items():
                 self._ground.streams.set_interval(message_id, 1e6 / rate_hz)
+
+    def return_to_launch(self) -> None:
+        """Change to RTL; PX4 takes the gimbal for it and drops it."""
+        self.modes.set("RTL")
+        if self._config.autopilot == "px4":
+            took_s, dropped_s = _PX4_RTL_S
+            self._timeline.after(took_s, self.manager.take)
+            self._timeline.after(dropped_s, self.manager.drop)
 
     def reboot(self, silence_s: float) -> None:
         """Reboot: the motors stop; after a silence the initial state, disarmed in the mode of a boot."""
@@ -231,7 +250,7 @@ class Vehicle:
 
     def _handle(self, source: Component, message: Message) -> None:
         kind = message.get_type()
-        if kind == "GIMBAL_DEVICE_ATTITUDE_STATUS":
+        if kind.startswith("GIMBAL_DEVICE_"):
             self.manager.device_reported(message)
         elif kind in ("COMMAND_LONG", "COMMAND_INT"):
             command = command_of(message)
@@ -303,6 +322,8 @@ class Vehicle:
     def _set_mode(self, command: Command) -> int:
         if not self.modes.set_from_command(command.params[1], command.params[2]):
             return _DENIED
+        if self.modes.is_rtl:
+            self.return_to_launch()
         if self.modes.is_landing:
             self.airframe.land()
         return _ACCEPTED
@@ -351,6 +372,12 @@ class Vehicle:
     def say(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:
         """STATUSTEXT (253) to the ground, at most 50 characters."""
         self._ground.send(mavlink.MAVLink_statustext_message(severity, text.encode()[:50]))
+
+
+def _gimbal_wanted() -> Message:
+    """PX4 asks everybody for GIMBAL_DEVICE_INFORMATION (283)."""
+    wanted = mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_INFORMATION
+    return mavlink.MAVLink_command_long_message(0, 0, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, wanted, 0, 0, 0, 0, 0, 0)
 
 
 class _GatedLink:
