@@ -27,7 +27,7 @@ from panoexec.mqtt.dialer import TAKEN_OVER, Dialer, Terms
 from panoexec.mqtt.incoming import Inbox, Incoming, incoming_of
 from panoexec.mqtt.outbox import Outgoing
 from panoexec.mqtt.requests import STOPPING
-from panoexec.mqtt.sender import BATCH, PULSE_S, Sender, with_reason
+from panoexec.mqtt.sender import BATCH, BESIDE, PULSE_S, Sender, with_reason
 from panoexec.mqtt.subscribing import subscribe_requests, subscribe_state
 from panoexec.mqtt.topics import Topics, is_topic_part
 from panoexec.mqtt.twin import TwinWatch
@@ -350,7 +350,7 @@ class MqttLink:
             will=aiomqtt.Will(self.topics.status, OFFLINE, qos=terms.qos, retain=terms.retain),
             queue_type=Inbox,
             max_queued_incoming_messages=_INCOMING,
-            max_inflight_messages=BATCH + 4,
+            max_inflight_messages=BATCH + BESIDE,
         )
 
     def _lost(self, error: Exception) -> None:

@@ -114,6 +114,11 @@ class Outbox:
     def __len__(self) -> int:
         return sum(len(queue.messages) for queue in (self._urgent, self._answers, self._events)) + len(self._stale)
 
+    @property
+    def urgent(self) -> tuple[Outgoing, ...]:
+        """The urgent answers, oldest first."""
+        return tuple(self._urgent.messages)
+
     def put(self, message: Outgoing) -> None:
         """Add a message."""
         if message.retain:

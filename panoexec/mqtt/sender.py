@@ -7,7 +7,7 @@ import contextlib
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -28,6 +28,9 @@ REPEAT_S: Final = 15.0
 """Without retained messages the status is repeated so often."""
 
 BATCH: Final = 16
+BESIDE: Final = 4
+"""Urgent messages that are sent while a batch waits for its acknowledgements."""
+
 _HELD_S: Final = 0.1
 _ANSWER_S: Final = 0.15
 _AT_ONCE_S: Final = 3.0
@@ -62,6 +65,8 @@ class Sender:
         self._keepalive_s = keepalive_s
         self._suspicion = Suspicion()
         self._under_way: list[Outgoing] = []
+        self._hurry = asyncio.Event()
+        """Set when there is an urgent message."""
         self._sent_s = -math.inf
         self._answered_s = -math.inf
         self._announced_s = -math.inf
@@ -76,6 +81,8 @@ class Sender:
         """Queue a message, unless the broker has it and the link is too slow to repeat it."""
         if message.answer:
             self._answered_s = time.monotonic()
+        if message.urgent:
+            self._hurry.set()
         if message.retain and self.terms.retain and math.isfinite(self.pace.rate) and self.outbox.is_held(message):
             return
         self.outbox.put(message)
@@ -172,7 +179,12 @@ class Sender:
         timeout_s = self.pace.timeout_s(size)
         sends = [asyncio.ensure_future(self._send(client, message, timeout_s=timeout_s)) for message in batch]
         try:
-            results = await asyncio.gather(*sends, return_exceptions=True)
+            while (results := await self._results(sends)) is None:
+                for message in self._urgent_beside(client, batch):
+                    batch.append(message)
+                    self._under_way.append(message)
+                    size += message.size
+                    sends.append(asyncio.ensure_future(self._send(client, message, timeout_s=timeout_s)))
         finally:
             for send in sends:
                 send.cancel()
@@ -186,6 +198,29 @@ class Sender:
         latest = sum(message.size for message in batch if message.retain)
         self.pace.acknowledged(size, now - self._sent_s, now_s=now, latest=latest)
         self._suspicion.acknowledged(batch, left=len(self.outbox))
+
+    async def _results(self, sends: Sequence[asyncio.Future[int]]) -> list[int | BaseException] | None:
+        """What became of messages; None if an urgent one does not want to wait for that."""
+        self._hurry.clear()
+        hurry = asyncio.ensure_future(self._hurry.wait())
+        everything = asyncio.ensure_future(asyncio.wait(sends))
+        try:
+            await asyncio.wait({everything, hurry}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            everything.cancel()
+            hurry.cancel()
+            await asyncio.gather(everything, hurry, return_exceptions=True)
+        if not all(send.done() for send in sends):
+            return None
+        return await asyncio.gather(*sends, return_exceptions=True)
+
+    def _urgent_beside(self, client: BrokerClient, batch: list[Outgoing]) -> list[Outgoing]:
+        """Urgent messages that the broker accepts although it has not acknowledged the batch yet."""
+        room = min(BATCH + BESIDE, client.limits.most_unacknowledged) - len(batch)
+        if self._suspicion.wary or room <= 0:
+            return []
+        urgent = [one for one in self.outbox.urgent if one not in batch and not self._never(client, one)]
+        return urgent[:room]
 
     async def _send(self, client: BrokerClient, message: Outgoing, *, timeout_s: float = 10.0) -> int:
         return await client.send(

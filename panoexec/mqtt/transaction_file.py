@@ -78,7 +78,7 @@ def _begun_anew(path: Path, damage: _DamagedFileError) -> sqlite3.Connection:
                 if (part := aside.with_name(aside.name + suffix)).exists():
                     shutil.copyfile(part, Path(folder, path.name + suffix))
             with (
-                contextlib.suppress(sqlite3.Error),
+                contextlib.suppress(sqlite3.Error, UnicodeDecodeError),
                 contextlib.closing(sqlite3.connect(Path(folder, path.name))) as old,
             ):
                 copied = copy_true_rows(old, connection, memory=not damage.is_old)
@@ -104,6 +104,8 @@ def _check_unused(path: Path) -> None:
     except sqlite3.Error as error:
         if "locked" in str(error):
             raise _in_use(path) from error
+    except UnicodeDecodeError:
+        return  # SQLite quotes the damaged text of a table in its error
 
 
 def _in_use(path: Path) -> UsageError:

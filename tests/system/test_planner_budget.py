@@ -14,6 +14,8 @@ import sys
 from collections import Counter
 from typing import Any
 
+import pytest
+
 from panoexec.daemon import planner
 from panoexec.daemon.error_codes import refusal_of
 from panoexec.daemon.mission_request import spec_of
@@ -21,6 +23,7 @@ from panoexec.daemon.planner_process import MEMORY_MB
 from panoexec.errors import PanoexecError
 from panoexec.inputs.config import Config
 from panoexec.mqtt.requests import MAX_PAYLOAD, PlanRequest
+from tests.system.test_stops import TELE
 
 PLANS = int(os.environ.get("PANOEXEC_PLANS", "1"))
 CPU_S = 5
@@ -127,3 +130,11 @@ async def test_the_planner_keeps_within_its_memory_whatever_is_asked_for() -> No
     assert codes.keys() <= {"ok", "planning", "planning_budget", "invalid"}
     assert sum(codes.values()) == PLANS
     assert peak_mb <= MEMORY_MB
+
+
+@pytest.mark.skipif(PLANS == 1, reason="takes minutes: set PANOEXEC_PLANS")
+@pytest.mark.parametrize("overlap", [None, 0.2, 0.3])
+async def test_the_whole_sphere_at_400_mm_is_planned_within_the_memory(overlap: float | None) -> None:
+    fields = {"transaction": 1, "camera": TELE, "elevation_deg": [-90, 90], "overlap": overlap}
+    plan = await planner.plan_apart(spec_of(Config(), PlanRequest.model_validate(fields)))
+    assert 4000 < len(plan.shots) < 5000

@@ -195,3 +195,11 @@ def test_switches_and_keys_are_there(document: Path) -> None:
             assert f'"PANOEXEC_{name}"' in sources, f"{document.name}: PANOEXEC_{name}"
     for section, key in keys:
         assert key in type(getattr(Config(), section)).model_fields, f"{document.name}: [{section}] {key}"
+
+
+def test_every_campaign_is_in_the_table_and_is_run_at_full_length() -> None:
+    table = re.findall(r"^\| `(PANOEXEC_\w+)=([^`]*)` \|", (ROOT / "CONTRIBUTING.md").read_text(), re.MULTILINE)
+    run = re.findall(r"^ *campaign (PANOEXEC_\w+) (\S+)", (ROOT / ".ci" / "campaigns").read_text(), re.MULTILINE)
+    assert {name for name, _ in table} == {name for name, _ in run}
+    lengths = dict(run)
+    assert {name: size for name, size in table if size.isdigit() and lengths[name] != size} == {}

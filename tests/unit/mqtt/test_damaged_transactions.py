@@ -72,6 +72,21 @@ async def _known(path: Path) -> tuple[list[Noted | str], str | None]:
     return found, forgotten
 
 
+def test_a_flipped_bit_that_makes_a_table_no_text_is_told(stores: tuple[Path, Path], tmp_path: Path) -> None:
+    truth, _ = asyncio.run(_known(Path(shutil.copytree(stores[0], tmp_path / "whole")) / "t.sqlite"))
+    file = Path(shutil.copytree(stores[0], tmp_path / "copy")) / "t.sqlite"
+    whole = file.read_bytes()
+    places = [place for place in range(whole.index(b"CREATE TABLE"), 4096) if 32 < whole[place] < 127]
+    for place in places[::60]:
+        for part in file.parent.iterdir():
+            part.unlink()
+        data = bytearray(whole)
+        data[place] ^= 0x80
+        file.write_bytes(data)
+        found, forgotten = asyncio.run(_known(file))
+        assert forgotten is not None or found == truth, place
+
+
 @pytest.mark.parametrize("name", ["t.sqlite", "t.sqlite-wal"])
 def test_a_flipped_bit_is_harmless_or_told(stores: tuple[Path, Path], tmp_path: Path, name: str) -> None:
     source = stores[name.endswith("-wal")]

@@ -1,0 +1,54 @@
+"""What is urgent is sent while other messages wait for their acknowledgements."""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from panoexec.mqtt.outbox import Outgoing
+from panoexec.mqtt.sender import BATCH, Sender
+from panoexec.mqtt.topics import Topics
+from tests.waiting import eventually
+
+
+class Client:
+    """A broker that acknowledges when it is told to."""
+
+    def __init__(self, most_unacknowledged: int) -> None:
+        self.limits = SimpleNamespace(most_unacknowledged=most_unacknowledged, largest_packet=None)
+        self.acknowledges = asyncio.Event()
+        self.heard: list[bytes] = []
+
+    async def send(self, _topic: str, payload: bytes, **_: Any) -> int:
+        self.heard.append(payload)
+        await self.acknowledges.wait()
+        return 0
+
+
+def answer(payload: bytes, *, urgent: bool = False) -> Outgoing:
+    return Outgoing(topic="response/x", payload=payload, answer=True, urgent=urgent)
+
+
+@pytest.mark.parametrize(("most", "at_once"), [(1000, True), (BATCH, False)])
+async def test_an_urgent_answer_does_not_wait_for_acknowledgements(most: int, at_once: bool) -> None:
+    sender, client, stop = Sender(Topics("p", "v"), five=True, keepalive_s=30.0), Client(most), asyncio.Event()
+    for number in range(BATCH + 2):
+        sender.put(answer(str(number).encode()))
+    sending = asyncio.create_task(
+        sender.run(cast("Any", client), online=b"online", pulse=lambda: None, stop=stop), name="sending"
+    )
+    await eventually(lambda: len(client.heard) == BATCH)
+    sender.put(answer(b"stopped", urgent=True))
+    for _ in range(20):
+        await asyncio.sleep(0)
+    assert (b"stopped" in client.heard) == at_once, "as far as the broker accepts more"
+    client.acknowledges.set()
+    stop.set()
+    sender.outbox.filled.set()
+    await sending
+    assert len(sender.outbox) == 0
+    assert client.heard.index(b"stopped") == BATCH
+    assert len(client.heard) == len(set(client.heard)) == BATCH + 3, "each once"
