@@ -16,6 +16,7 @@ from panoexec.errors import DeviceError
 from panoexec.mission.attempt_result import Exposure, NotSettled, Offset, Settled
 from panoexec.mission.dated_exposure import ShutterLag, has_window, is_dated, window
 from panoexec.mission.pointing.echo import EchoWatch
+from panoexec.mission.pointing.foreign import ForeignPointing
 from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.pointing.poses import PoseReader, read_pose, to_north
 from panoexec.mission.pointing.steady_error import SteadyErrorWatch, error_at_rest
@@ -72,6 +73,7 @@ class Shooter:
         heading_controller: turns the vehicle if the gimbal cannot pan far enough; None: the vehicle never turns.
         echo: judges from each slew whether the gimbal's reports are measured.
         steady_error: knows whether the gimbal rests beside its commands.
+        foreign: knows whether another station points the gimbal.
     """
 
     gimbal: Gimbal
@@ -85,6 +87,7 @@ class Shooter:
     lag: ShutterLag = field(init=False)
     echo: EchoWatch = field(init=False)
     steady_error: SteadyErrorWatch = field(init=False)
+    foreign: ForeignPointing = field(init=False)
     _ready_s: float = field(default=-math.inf, init=False)
     _pointed: tuple[float, float] | None = field(default=None, init=False)
     _warned_interval_s: float = field(default=0.0, init=False)
@@ -95,6 +98,7 @@ class Shooter:
         self.lag = ShutterLag(self.settings.latency_s)
         self.echo = EchoWatch(self.gimbal.known.echo)
         self.steady_error = SteadyErrorWatch()
+        self.foreign = ForeignPointing()
         self.poses = PoseReader(feed=self.gimbal.feed, reference_yaw_north_deg=self.reference_yaw_north_deg)
 
     async def approach(
@@ -156,7 +160,7 @@ class Shooter:
         settled = done and settled_s is not None
         if not settled:
             wait.read()
-        self._observe(shot, commanded_s, settled=settled)
+        foreign = self._observe(shot, commanded_s, settled=settled)
         if self.echo.reason:
             return NotSettled(code="echo", reason=f"the gimbal's reports are no feedback: {self.echo.reason}")
         if self.echo.delay_s > OLDEST_REPORT_S:
@@ -168,6 +172,8 @@ class Shooter:
             )
         if settled_s is not None:
             return Settled(commanded_s=commanded_s, settled_s=settled_s)
+        if foreign:
+            return NotSettled(code="foreign", reason=foreign)
         why = tracker.problem
         if tracker.is_stale(self.clock.monotonic()):
             why = "the gimbal's attitude stream is silent"
@@ -177,8 +183,12 @@ class Shooter:
         offset = None if off is None else Offset(**{axis: float(getattr(off, axis)) for axis in _OFFSET_AXES})
         return NotSettled(code="not_settled", reason=f"not settled after {bound_s:.1f} s: {why}", offset=offset)
 
-    def _observe(self, shot: Shot, commanded_s: float, *, settled: bool) -> None:
-        """Learn from a slew whether the gimbal measures, and whether it rests where it was told."""
+    def _observe(self, shot: Shot, commanded_s: float, *, settled: bool) -> str:
+        """Learn from a slew whether the gimbal measures, and whether it rests where it was told.
+
+        Returns:
+            Why another station must point it; "" if it need not.
+        """
         readings = self.poses.since(commanded_s - BEFORE_SLEW_S)
         yaw_deg = shot.yaw_deg
         self.echo.slew(
@@ -190,9 +200,14 @@ class Shooter:
         )
         if settled:
             self.steady_error.settled()
+            self.foreign.settled()
         elif not self._vehicle_pans:
+            foreign = self.foreign.failed(readings, commanded_s=commanded_s, pitch_deg=shot.pitch_deg, yaw_deg=yaw_deg)
+            if foreign:
+                return foreign
             at_rest = error_at_rest(readings, pitch_deg=shot.pitch_deg, yaw_deg=yaw_deg)
             self.steady_error.failed(at_rest, pitch_deg=shot.pitch_deg, yaw_deg=yaw_deg)
+        return ""
 
     @property
     def report_age_s(self) -> float:

@@ -28,6 +28,7 @@ PAUSE_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
         "link": "link lost, waiting",
         "attitude": "no gimbal attitude, waiting",
         "gimbal_control": "another station has the gimbal",
+        "foreign": "another station points the gimbal",
         "gimbal_unknown": "gimbal control unknown, asking",
         "gimbal_lost": "gimbal control lost, acquiring",
         "pilot": "pilot has control, gimbal released",

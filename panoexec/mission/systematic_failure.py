@@ -20,6 +20,8 @@ SHOTS: Final = 3
 """How many different shots in a row must fail alike."""
 ATTEMPTS: Final = 8
 """How many attempts in a row must fail alike: where one of five is refused at random, that is once in 390 000."""
+FOREIGN_ATTEMPTS: Final = 2
+"""The same for another station that points the gimbal, which is no matter of chance."""
 SPREAD_FRAC: Final = 0.25
 """How far offsets may differ, as a fraction of their size, or by τ if that is more."""
 APART_DEG: Final = 10.0
@@ -32,6 +34,7 @@ _ADVICE: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
         "evidence": ("photos", "check that the camera takes photos and reports them ([camera] evidence)"),
         "late_exposure": ("photos", "check the camera's delay ([camera] latency_s) and its shortest interval"),
         "gimbal": ("gimbal", "check the gimbal (mode, limits, who controls it)"),
+        "foreign": ("foreign", "let no other station point it (DO_MOUNT_CONTROL, ROI, a gimbal page)"),
         "vehicle": ("turn_refused", "check the flight mode and whether the vehicle can turn"),
     }
 )
@@ -106,7 +109,8 @@ class SystematicFailure:
             self._cause, self._offset = cause, offset
         self._attempts += 1
         self._shots.setdefault(shot.index, shot.yaw_deg)
-        if self._attempts < ATTEMPTS or self._different_shots() < SHOTS:
+        enough = self._attempts >= FOREIGN_ATTEMPTS if code == "foreign" else self._attempts >= ATTEMPTS
+        if not enough or (code != "foreign" and self._different_shots() < SHOTS):
             return None
         return self._finding(code, reason)
 

@@ -333,8 +333,8 @@ class ShotRejected(ShotEvent):
     """The attempt is rejected.
 
     Attributes:
-        code: `not_settled`, `pointing`, `no_samples`, `trigger`, `evidence`, `late_exposure`, `gimbal`, `vehicle`,
-            `crash`.
+        code: `not_settled`, `pointing`, `no_samples`, `trigger`, `evidence`, `late_exposure`, `gimbal`, `foreign`,
+            `vehicle`, `crash`.
         reason: for the pilot, with figures.
     """
 

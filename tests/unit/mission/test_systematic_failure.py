@@ -170,3 +170,14 @@ def test_a_stuck_gimbal_misses_each_target_by_another_angle() -> None:
     world = fly(prepare=lambda w: setattr(w.gimbal, "stuck", True), plan=a_plan(12), settings=settings)
     assert world.record.state is S.INCOMPLETE
     assert not world.sink.of(ev.MissionPaused)
+
+
+def test_another_station_that_points_the_gimbal_pauses_at_the_second_attempt() -> None:
+    run = SystematicFailure(Tolerance(pitch_deg=0.1, roll_deg=0.1, yaw_deg=0.7))
+    shot = Shot(index=3, row=0, pitch_deg=-30.0, yaw_deg=60.0)
+    reason = "another station points the gimbal: it came to rest at pitch -70.0°, yaw 20.0°, 49° from its target"
+    assert run.rejected(shot, code="foreign", reason=reason) is None
+    found = run.rejected(shot, code="foreign", reason=reason)
+    assert found is not None
+    assert (found.code, found.automatic, found.retry) == ("foreign", False, True)
+    assert "another station points the gimbal" in found.reason
