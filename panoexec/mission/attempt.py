@@ -161,19 +161,26 @@ class Shooter:
         if not settled:
             wait.read()
         foreign = self._observe(shot, commanded_s, settled=settled)
+        unverifiable = self._unverifiable()
+        if unverifiable is not None:
+            return unverifiable
+        if settled_s is not None:
+            return Settled(commanded_s=commanded_s, settled_s=settled_s)
+        return NotSettled(code="foreign", reason=foreign) if foreign else self._not_settled(tracker, bound_s)
+
+    def _unverifiable(self) -> NotSettled | None:
+        """Why no exposure can be verified by the gimbal's reports, as its slews have shown; None if it can."""
         if self.echo.reason:
             return NotSettled(code="echo", reason=f"the gimbal's reports are no feedback: {self.echo.reason}")
         if self.echo.delay_s > OLDEST_REPORT_S:
-            late_s = self.echo.delay_s
             return NotSettled(
                 code="not_settled",
-                reason=f"the gimbal's reports show a slew {late_s:.1f} s after its command: no exposure can be verified"
-                " by them; check the link and the gimbal's rate",
+                reason=f"the gimbal's reports show a slew {self.echo.delay_s:.1f} s after its command: no exposure can be"
+                " verified by them; check the link and the gimbal's rate",
             )
-        if settled_s is not None:
-            return Settled(commanded_s=commanded_s, settled_s=settled_s)
-        if foreign:
-            return NotSettled(code="foreign", reason=foreign)
+        return None
+
+    def _not_settled(self, tracker: SettleTracker, bound_s: float) -> NotSettled:
         why = tracker.problem
         if tracker.is_stale(self.clock.monotonic()):
             why = "the gimbal's attitude stream is silent"
