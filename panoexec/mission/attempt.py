@@ -175,8 +175,8 @@ class Shooter:
         if self.echo.delay_s > OLDEST_REPORT_S:
             return NotSettled(
                 code="not_settled",
-                reason=f"the gimbal's reports show a slew {self.echo.delay_s:.1f} s after its command: no exposure can be"
-                " verified by them; check the link and the gimbal's rate",
+                reason=f"the gimbal's reports show a slew {self.echo.delay_s:.1f} s after its command: no exposure can"
+                " be verified by them; check the link and the gimbal's rate",
             )
         return None
 
