@@ -180,7 +180,8 @@ async def test_a_reload_reads_the_configuration_again(machine: Machine) -> None:
 async def test_the_planner_runs_behind_the_daemon_and_is_what_the_kernel_ends(machine: Machine) -> None:
     daemon, restarts = int(show("MainPID")), show("NRestarts")
     assert os.getpriority(os.PRIO_PROCESS, daemon) == -5
-    assert _oom_score(daemon) == -500
+    # in a container the kernel may refuse a negative score, and systemd goes on without
+    assert _oom_score(daemon) == -500 or sh("systemd-detect-virt", "--container", check=False).strip() != "none"
     async with ground_station(machine.broker) as ground:
         await ground.until(lambda: ground.status == "online")
         await ground.send("plan", json.dumps({"transaction": "slow", **SLOW}).encode())
