@@ -18,6 +18,9 @@ from panoexec.sim.pacing import limits_line
 
 _START_S = 60.0
 _STOP_S = 75.0
+_HURRIED_S = 0.5
+"""Time for the last photos after an interrupt or a failure."""
+_HURRIED_STOP_S = 3.0
 _ERRORS: dict[int, type[PanoexecError]] = {2: UsageError, 3: LinkError}
 
 
@@ -58,22 +61,35 @@ class SimulatorProcess:
         """Wait until it exits by itself, which it does only after an error; return its exit code."""
         return await self.process.wait()
 
-    async def stop(self) -> None:
-        """Stop it and let it write its last photos; kill it after a timeout. May be called twice."""
+    async def stop(self, *, hurried: bool = False) -> None:
+        """Stop it and let it write its last photos; kill it after a timeout. May be called twice.
+
+        Args:
+            hurried: photos that are not written soon are discarded; none is left half-written.
+        """
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         self.process.stdin.close()
+        timer = asyncio.get_running_loop().call_later(_HURRIED_S, self._end_waiting) if hurried else None
         try:
-            async with asyncio.timeout(_STOP_S):
+            async with asyncio.timeout(_HURRIED_STOP_S if hurried else _STOP_S):
                 rest = await self.process.stdout.read()
                 await self.process.wait()
         except TimeoutError:
             self.process.kill()
             await self.process.wait()
             return
+        finally:
+            if timer is not None:
+                timer.cancel()
         for line in rest.splitlines():
             with contextlib.suppress(json.JSONDecodeError):
                 self.summary = json.loads(line)
+
+    def _end_waiting(self) -> None:
+        """SIGTERM, after the end of its input, ends its wait for the last photos."""
+        with contextlib.suppress(ProcessLookupError):
+            self.process.terminate()
 
 
 async def _spawn(config: SimConfig, *, paced: bool) -> asyncio.subprocess.Process:
@@ -129,8 +145,10 @@ async def running_simulator(
         simulator = SimulatorProcess(config, json.loads(line), process)
         try:
             yield simulator
-        finally:
-            await simulator.stop()
+        except BaseException:
+            await simulator.stop(hurried=True)
+            raise
+        await simulator.stop()
     finally:
         if process.returncode is None:
             process.kill()

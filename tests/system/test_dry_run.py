@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import PIL.Image
 import pytest
+from PIL import Image
 
 from panoexec.angles import rotation_from_quaternion
 from panoexec.cli.app import run
@@ -166,6 +167,12 @@ def test_an_interrupted_mission_ends_130_leaves_no_process_and_is_resumed(tmp_pa
         os.killpg(group, 0)
     (mission,) = (tmp_path / "missions").iterdir()
     assert "paused" in (mission / "report.html").read_text(encoding="utf-8")
+    # photos that were still being rendered are whole or not there
+    images = mission / "images"
+    assert {path.suffix for path in images.iterdir()} <= {".jpg", ".jsonl"}
+    for path in images.glob("*.jpg"):
+        with Image.open(path) as image:
+            image.load()
     manifest = manifest_of(flown("--resume", str(mission)))
     assert manifest["state"] == "complete"
     assert_accepted_within_tolerance(manifest)

@@ -139,12 +139,14 @@ class Darkroom:
         return True
 
     async def close(self) -> None:
-        """End the worker and wait for it."""
+        """End the worker and wait for it; pending photos are discarded, and none is left half-written."""
         process = self._process
         if process is None or process.returncode is not None:
             return
         assert process.stdin is not None
         process.stdin.close()
+        if self.pending:
+            process.kill()
         try:
             async with asyncio.timeout(3.0):
                 await process.wait()
