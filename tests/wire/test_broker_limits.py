@@ -313,6 +313,8 @@ async def test_where_a_daemon_could_not_see_another_one_it_keeps_its_client_id(
             name = client_id(link.topics)
             with structlog.testing.capture_logs() as logs:
                 await stolen(broker.port, name, "5")
+                await eventually(lambda: link._connections == 2)
+                await stolen(broker.port, name, "5")
                 # mosquitto accepts any subscription, and checks the right to read when it delivers
                 await eventually(lambda: link._identifier != name)
                 await eventually(lambda: "would not be seen" in told(logs, "broker connection failed, retrying"))

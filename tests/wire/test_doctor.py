@@ -133,7 +133,7 @@ async def test_limited_and_busy_devices_are_reported_with_advice(tmp_path: Path)
     document = poor.result().document()
     assert poor.result().exit_code == 3
     feedback = found(document, "gimbal", "feedback")
-    assert (feedback["verdict"], feedback["found"][:5]) == ("warning", "body:")
+    assert (feedback["verdict"], feedback["found"][:5]) == ("missing", "none:")
     assert "MNT1_TYPE = 6" in feedback["advice"]
     evidence = found(document, "camera", "evidence")
     assert (evidence["verdict"], evidence["found"]) == ("missing", "up to counted")

@@ -24,7 +24,8 @@ _LEAST_READINGS: Final = 5
 _REST_SPREAD_DEG: Final = 0.25
 """Largest spread of each error at rest: noise and steps of a report."""
 _SAME_DEG: Final = 0.2
-"""Errors of two poses that differ by less (or by a third of them) have the same cause."""
+"""Errors of two poses that differ by less (or by a third of them, up to `_SAME_MOST_DEG`) have the same cause."""
+_SAME_MOST_DEG: Final = 2.0
 _POSES_APART_DEG: Final = 3.0
 _POSES: Final = 2
 MOST_TRIMMED_DEG: Final = 5.0
@@ -121,7 +122,10 @@ def proposed(hold_deg: float) -> float:
 
 
 def _same(one: SteadyError, other: SteadyError) -> bool:
-    return all(abs(a - b) <= max(_SAME_DEG, abs(a) / 3) for a, b in zip(one.mean_deg, other.mean_deg, strict=True))
+    return all(
+        abs(a - b) <= max(_SAME_DEG, min(abs(a) / 3, _SAME_MOST_DEG))
+        for a, b in zip(one.mean_deg, other.mean_deg, strict=True)
+    )
 
 
 def _apart_deg(one: tuple[float, float], other: tuple[float, float]) -> float:

@@ -15,6 +15,8 @@ from panoexec.angles import FloatArray
 from panoexec.planning.search.row_constraints import RowConstraints
 from panoexec.planning.search.row_steps import highest_pitch
 
+_LEAST_STEP_DEG = 1e-9
+"""A range of pitches with smaller steps is one pitch."""
 _GRID = 250
 _GRID_MANY = 600
 """Grid steps per vertical field of view; more where there are many rows, so that rounding does not accumulate."""
@@ -57,7 +59,8 @@ class RowRelaxation:
         grid = _GRID if height > _LOW_DEG else _GRID_MANY
         count = max(2, math.ceil((high - low) / height * grid) + 1)
         self._grid = np.linspace(low, high, count)
-        self._step = float(self._grid[1] - self._grid[0]) or 1.0
+        step_deg = float(self._grid[1] - self._grid[0])
+        self._step = step_deg if step_deg > _LEAST_STEP_DEG else 1.0
         steps_deg = self._steps_deg(self._grid)
         self._longest = steps_deg
         density = rules.layout.span_deg / np.clip(rules.widest(self._grid), 1e-3, rules.layout.span_deg) / steps_deg
