@@ -1,6 +1,6 @@
 """Test of a broker for the doctor: what the daemon would find, by the same code, without disturbing a running daemon.
 
-The client has an id of its own, its will and its messages are on the topic `response/doctor`, for which no client
+The client has an id of its own, its will and its messages are on the topic `response/probe`, for which no client
 waits, and the permission to publish the daemon's topics is asked for without publishing there.
 """
 
@@ -68,7 +68,7 @@ async def probe_broker(settings: MqttSection, *, vehicle: str) -> BrokerReport:
     topics, five = Topics(settings.prefix, vehicle), settings.protocol == "5"
 
     async def make(terms: Terms) -> BrokerClient:
-        will = aiomqtt.Will(topics.response("doctor"), _NOTHING, qos=terms.qos, retain=terms.retain)
+        will = aiomqtt.Will(topics.response("probe"), _NOTHING, qos=terms.qos, retain=terms.retain)
         return await broker_client(settings, identifier=f"{client_id(topics)}:doctor-", will=will)
 
     dialer = Dialer(make, five=five)
@@ -117,11 +117,11 @@ async def _tested(
             raise
         may_read = False
     began = time.monotonic()
-    code = await client.send(topics.response("doctor"), _NOTHING, qos=terms.qos, retain=False)
+    code = await client.send(topics.response("probe"), _NOTHING, qos=terms.qos, retain=False)
     round_trip_s = time.monotonic() - began
     try:
         # an empty retained message leaves nothing behind
-        await client.send(topics.response("doctor"), b"", qos=terms.qos, retain=terms.retain)
+        await client.send(topics.response("probe"), b"", qos=terms.qos, retain=terms.retain)
     except aiomqtt.MqttError as error:
         dialer.ended_at_greeting()
         dialer.ended_at_greeting()

@@ -67,7 +67,7 @@ class Ground:
             self.plan = json.loads(payload) if payload else None
         elif topic == "event":
             self.events.append(json.loads(payload))
-        elif topic.startswith("response/"):
+        elif topic.startswith("response/") and topic != "response/probe":  # where the doctor asks for its rights
             answer = json.loads(payload)
             self.answers[answer["transaction"]] = answer
 

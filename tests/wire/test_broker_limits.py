@@ -343,7 +343,7 @@ async def test_the_doctor_asks_for_each_right_and_publishes_nothing_on_the_daemo
             await eventually(lambda: late.payloads("panoexec/drone/status"))
             assert [topic for topic, _, _ in late.seen] == ["panoexec/drone/status"], "the doctor leaves nothing behind"
     assert (verdicts["state"], verdicts["status"], verdicts["event"]) == ("missing", "ok", "ok")
-    assert heard == {"panoexec/drone/status", "panoexec/drone/event", "panoexec/drone/response/doctor"}
+    assert heard == {"panoexec/drone/status", "panoexec/drone/event", "panoexec/drone/response/probe"}
     assert ground.payloads(link.topics.event) == [b"afterwards"]
     assert ground.payloads("panoexec/drone/status") == [b"online", b"offline"]
 
