@@ -169,7 +169,7 @@ def test_an_interrupted_mission_ends_130_leaves_no_process_and_is_resumed(tmp_pa
     assert "paused" in (mission / "report.html").read_text(encoding="utf-8")
     # photos that were still being rendered are whole or not there
     images = mission / "images"
-    assert {path.suffix for path in images.iterdir()} <= {".jpg", ".jsonl"}
+    assert {path.suffix for path in images.iterdir()} <= {".jpg", ".jsonl", ".xmp"}
     for path in images.glob("*.jpg"):
         with Image.open(path) as image:
             image.load()

@@ -61,6 +61,8 @@ class Crowd:
                 continue
             if answer["status"] == "error":
                 self.codes[answer["error"]["code"]] += 1
+            elif (answer["data"] or {}).get("mission_id", "") is None and "durable" in answer["data"]:
+                self.codes["called off"] += 1  # an abort that overtook a start or resume: nothing flew
             else:
                 self.oks.append(f"{message.topic}: {answer}")
             self._answered.set()

@@ -287,7 +287,7 @@ async def test_a_configured_manager_that_is_not_there_is_named(
     gimbal_autopilot: GimbalPeer, gimbal_link: MavsdkLink
 ) -> None:
     async with MavsdkGimbal(gimbal_link, manager=42) as gimbal:
-        await eventually(lambda: bool(gimbal.candidates), 15)
+        await eventually(lambda: bool(gimbal.candidates) and gimbal.reports.has_any, 15)
         with pytest.raises(DeviceError, match=r"\[gimbal\] manager = 42, device = 0 is none of unnamed \(manager 1"):
             await gimbal.discover(timeout_s=0.5)
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from panoexec.adapters.link.file_urls import FileUrls
@@ -87,7 +88,12 @@ def test_the_message_is_changed_and_the_reason_is_kept() -> None:
     assert "[camera] file_folders" in urls.refused
 
 
+SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:")
+
+
 @given(st.text())
+@example(":")
+@example(":0")
 def test_whatever_a_camera_tells_names_no_unexpected_file(url: str) -> None:
     for told in (url, f"file://{url}", f"file:///{url}", f"http://{url}"):
         kept, why = FileUrls().checked(told)
@@ -95,7 +101,7 @@ def test_whatever_a_camera_tells_names_no_unexpected_file(url: str) -> None:
             assert why
             assert "/" not in kept
         else:
-            assert ":" not in told.split("/")[0] or told[1] == ":"
+            assert not SCHEME.match(told) or told[1] == ":"
 
 
 def test_hosts_are_names_without_a_scheme() -> None:
