@@ -177,6 +177,7 @@ async def test_without_retained_messages_the_status_is_repeated_and_get_brings_i
             heard = ground.payloads("panoexec/drone/status").count(b"online")
             link.announce()
             await eventually(lambda: ground.payloads("panoexec/drone/status").count(b"online") > heard)
+            assert set(ground.payloads("panoexec/drone/status")) == {b"online"}
 
 
 async def test_watch_asks_for_what_such_a_broker_does_not_keep(tmp_path: Path) -> None:

@@ -93,6 +93,7 @@ async def test_a_failed_mission_makes_it_check_at_once_and_trouble_more_often(
     await eventually(lambda: monitor.trouble, 5)
     full[0] = False
     await asyncio.wait_for(recovered.wait(), 5)
+    assert monitor.trouble == ""
     watching.cancel()
     await asyncio.gather(watching, return_exceptions=True)
     await transactions.close()
