@@ -52,10 +52,10 @@ def write_atomically_with(path: Path, write: Callable[[Path], None], *, sync: bo
         # mkstemp makes files that only their owner can read
         temporary.chmod(0o666 & ~_umask())
         if sync:
-            _sync(temporary)
+            to_disk(temporary)
         temporary.replace(path)
         if sync:
-            _sync(path.parent)
+            to_disk(path.parent)
     except OSError as error:
         raise _unwritable(path, error) from error
     finally:
@@ -68,7 +68,12 @@ def _unwritable(path: Path, error: OSError) -> UsageError:
     return UsageError(f"{path}: cannot be written ({reason}); use a path in an existing, writable folder")
 
 
-def _sync(path: Path) -> None:
+def to_disk(path: Path) -> None:
+    """Wait until a file or a folder is on the disk.
+
+    Raises:
+        OSError: it cannot be opened, or the disk failed.
+    """
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -6,7 +6,7 @@ import asyncio
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Literal
+from typing import Literal, TypeVar
 
 from panoexec.clock import Clock
 from panoexec.devices import Camera, Gimbal, Vehicle
@@ -40,6 +40,7 @@ PREPARE_S = 12.0
 """Timeout for preparing the camera."""
 RESTORE_S = 6.0
 """Timeout for restoring it."""
+E = TypeVar("E", bound=ev.Event)
 DONE = frozenset({ShotStatus.ACCEPTED, ShotStatus.SKIPPED})
 
 
@@ -155,6 +156,18 @@ class Mission:
     def shooter(self) -> Shooter | None:
         """The component that points and triggers, to read the live pointing error; None before the start."""
         return None if self._shooting is None else self._shooting.shooter
+
+    def note(self, event: E) -> E | None:
+        """Record an event that others found out about a photo: its file is stored, its content was checked.
+
+        Returns:
+            The event as recorded; None if the mission no longer records (then its journal is to be opened again).
+
+        Raises:
+            ValueError: the event contradicts the record.
+        """
+        recorder = self._context.recorder
+        return None if recorder.closed else recorder.emit(event)
 
     async def durable(self) -> None:
         """Return when all events so far are on disk and published."""

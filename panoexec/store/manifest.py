@@ -269,6 +269,7 @@ def _shot_json(record: ShotRecord, reference_yaw_north_deg: float, folder: Path)
         | {"yaw_north_deg": _number(to_north(shot.yaw_deg, reference_yaw_north_deg))},
         "accepted_attempt": None if accepted is None else accepted.number,
         "file": "" if accepted is None else attempts[accepted.number - 1]["file"],
+        "sha256": None if accepted is None else attempts[accepted.number - 1]["sha256"],
         "attempts": attempts,
     }
 
@@ -276,10 +277,7 @@ def _shot_json(record: ShotRecord, reference_yaw_north_deg: float, folder: Path)
 def _attempt_json(attempt: AttemptRecord, folder: Path) -> dict[str, Any]:
     exposed = attempt.exposed
     photo = attempt.photos[0] if attempt.photos else None
-    photos = [
-        encode(item) | {"capture_time": iso_utc(item.capture_time_utc_s), "file": file_name(item.file, folder)}
-        for item in attempt.photos
-    ]
+    photos = [_photo_json(attempt, item, folder) for item in attempt.photos]
     out: dict[str, Any] = {
         "number": attempt.number,
         "round": attempt.round,
@@ -296,6 +294,7 @@ def _attempt_json(attempt: AttemptRecord, folder: Path) -> dict[str, Any]:
         "evidence": "none" if attempt.evidence is None else attempt.evidence.name.lower(),
         "capture_time": None if photo is None else iso_utc(photo.capture_time_utc_s),
         "file": photos[0]["file"] if photos else "",
+        "sha256": photos[0]["sha256"] if photos else None,
         "photos": photos,
     }
     if exposed is not None:
@@ -306,6 +305,20 @@ def _attempt_json(attempt: AttemptRecord, folder: Path) -> dict[str, Any]:
         out["slew_settle_s"] = exposed.slew_settle_s
         out["trigger_delay_s"] = exposed.trigger_delay_s
     return out
+
+
+def _photo_json(attempt: AttemptRecord, photo: ev.Photo, folder: Path) -> dict[str, Any]:
+    """A photo: `file` is the stored one, else as told by the camera, which `told` keeps."""
+    stored, told = attempt.stored.get(photo.number), file_name(photo.file, folder)
+    return encode(photo) | {
+        "evidence": attempt.evidence_of(photo).name.lower(),
+        "capture_time": iso_utc(photo.capture_time_utc_s),
+        "file": told if stored is None else stored.file,
+        "told": told,
+        "sha256": None if stored is None else stored.sha256,
+        "size_bytes": None if stored is None else stored.size_bytes,
+        "source": None if stored is None else stored.source,
+    }
 
 
 def file_name(reported: str, folder: Path) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import AsyncIterator, Mapping, Sequence
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager, closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -34,6 +34,7 @@ from panoexec.store.directory import MissionDirectory, new_mission_directory
 from panoexec.store.journal import DamagedJournalError, SqliteJournal, load_journal
 from panoexec.store.journal_layout import MISSION_ID, NUMBER, WRITTEN_BY
 from panoexec.store.manifest import ManifestWriter
+from panoexec.store.photo_store import PhotoStore
 
 
 class NotResumableError(UsageError):
@@ -164,13 +165,21 @@ class MissionSession:
     Attributes:
         stored: directory, plan, settings, past events.
         mission: the executor; its commands may be used while `run` is running.
+        photos: stores the photos' files.
     """
 
     def __init__(
-        self, *, stored: StoredMission, mission: Mission, manifest: ManifestWriter, messenger: PilotMessenger
+        self,
+        *,
+        stored: StoredMission,
+        mission: Mission,
+        manifest: ManifestWriter,
+        messenger: PilotMessenger,
+        photos: PhotoStore,
     ) -> None:
         self.stored = stored
         self.mission = mission
+        self.photos = photos
         self._manifest = manifest
         self._messenger = messenger
 
@@ -225,7 +234,9 @@ class MissionSession:
             )
             messenger = PilotMessenger(vehicle=devices.vehicle, record=mission.record)
             sinks += [writer, messenger]
-            yield cls(stored=stored, mission=mission, manifest=writer, messenger=messenger)
+            photos = PhotoStore(stored.directory.path, record=mission.record, emit=mission.note)
+            with closing(photos):
+                yield cls(stored=stored, mission=mission, manifest=writer, messenger=messenger, photos=photos)
         finally:
             await stored.journal.close()
 

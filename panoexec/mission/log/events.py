@@ -402,6 +402,27 @@ class PhotoIdentified(ShotEvent):
     photos: tuple[Photo, ...]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhotoStored(ShotEvent):
+    """The file of a photo is in the mission directory, whole and on disk; also after the mission's end.
+
+    A later event for the same photo replaces an earlier one.
+
+    Attributes:
+        photo: number of the photo within its attempt, from 1.
+        file: path relative to the mission directory, below `images/`, with forward slashes.
+        size_bytes: its size.
+        sha256: of its content, 64 hexadecimal digits.
+        source: where it came from: `gphoto2`, `http`, `mavftp`, `local` (a folder of this computer) or `import`.
+    """
+
+    photo: Whole = 1
+    file: str
+    size_bytes: Whole
+    sha256: str
+    source: str
+
+
 class EventSink(Protocol):
     """Receives events after they were stored."""
 

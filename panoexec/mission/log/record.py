@@ -61,11 +61,17 @@ class AttemptRecord:
     reason: str = ""
     exposed: ev.ShotExposed | None = None
     photos: tuple[ev.Photo, ...] = ()
+    stored: dict[int, ev.PhotoStored] = field(default_factory=dict)
+    """The files in the mission directory, by number of the photo."""
 
     @property
     def evidence(self) -> EvidenceLevel | None:
         """The weakest evidence among its photos; None without a photo."""
-        return min((photo.evidence for photo in self.photos), default=None)
+        return min((self.evidence_of(photo) for photo in self.photos), default=None)
+
+    def evidence_of(self, photo: ev.Photo) -> EvidenceLevel:
+        """The evidence of one of its photos: a stored file is the best there is."""
+        return EvidenceLevel.FILE_SEEN if photo.number in self.stored else photo.evidence
 
 
 @dataclass(slots=True, kw_only=True)
@@ -345,8 +351,16 @@ class MissionRecord:
             case ev.PhotoIdentified():
                 attempt = record.attempts[event.attempt - 1]
                 attempt.photos = event.photos
+            case ev.PhotoStored():
+                self._store(event, record)
             case _:
                 raise ValueError(f"no rule for {event.type}")
+
+    def _store(self, event: ev.PhotoStored, record: ShotRecord) -> None:
+        attempts = record.attempts
+        if not 1 <= event.attempt <= len(attempts):
+            raise ValueError(f"shot {event.shot}: a photo of attempt {event.attempt} is stored, which never began")
+        attempts[event.attempt - 1].stored[event.photo] = event
 
     def _open(self, event: ev.ShotEvent) -> AttemptRecord:
         attempts = self.shots[event.shot].attempts

@@ -91,6 +91,11 @@ class Recorder:
             if self._queue or self._closing:
                 self._work.set()
 
+    @property
+    def closed(self) -> bool:
+        """Whether it takes no more events."""
+        return self._closing
+
     def close(self) -> None:
         """Let `run` return when all events are written."""
         self._closing = True
