@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from panoexec.mqtt.requests import MAX_PAYLOAD, REQUESTS, RefusedRequestError, parse_request
+from panoexec.mqtt.parsing import parse_request
+from panoexec.mqtt.requests import MAX_PAYLOAD, REQUESTS, RefusedRequestError
 
 WHOLE: dict[str, Any] = {
     "camera": "dji-x5s-15mm",

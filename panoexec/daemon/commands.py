@@ -24,6 +24,7 @@ from panoexec.mission.mission_requests import CommandRefusedError
 from panoexec.mqtt.answers import planned
 from panoexec.mqtt.incoming import Incoming, expired
 from panoexec.mqtt.messages import Response, dump, failed, ok
+from panoexec.mqtt.parsing import parse_request
 from panoexec.mqtt.requests import (
     DoctorRequest,
     PlanRequest,
@@ -35,7 +36,6 @@ from panoexec.mqtt.requests import (
     SkipRequest,
     StartRequest,
     StopRequest,
-    parse_request,
 )
 from panoexec.mqtt.transaction_file import FORGOTTEN
 from panoexec.mqtt.transactions import Transactions

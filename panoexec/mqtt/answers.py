@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 
 from panoexec.inputs.plan_file import FORMAT, camera_to_data
-from panoexec.inputs.plan_options import ConstraintsFields
+from panoexec.inputs.plan_options import ConstraintsModel
 from panoexec.mqtt.messages import State
 from panoexec.planning.model import Certificate, Estimate, Plan, Shot
 
@@ -141,7 +141,7 @@ class PlanFields(Fields):
     format: Annotated[str, WithJsonSchema({"const": FORMAT})]
     method: str
     camera: CameraFields
-    constraints: ConstraintsFields
+    constraints: ConstraintsModel
     shots: Annotated[tuple[Shot, ...], Field(min_length=1)]
     certificate: Certificate | None
     estimate: Estimate | None

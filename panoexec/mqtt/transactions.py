@@ -19,32 +19,30 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import sqlite3
-import sys
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Literal, Self, TypeAlias, TypeVar
+from typing import Final, Self, TypeVar
 
 import structlog
 
 from panoexec.errors import UsageError
 from panoexec.mqtt.messages import Response, dump, failed
-from panoexec.mqtt.requests import STOPPING, RefusedRequestError, Request
+from panoexec.mqtt.requests import RefusedRequestError, Request
 from panoexec.mqtt.retention import Retention
 from panoexec.mqtt.transaction_file import StorageDownError, open_transaction_file
 from panoexec.mqtt.transaction_memory import (
     Known,
     TransactionMemory,
-    conflict,
     fields_digest,
     interrupted,
     key_of,
 )
+from panoexec.mqtt.transaction_rows import Noted, note, recalled, store_response, store_value, stored
 
 T = TypeVar("T")
-TransactionStatus: TypeAlias = Literal["new", "under way", "interrupted", "answered"]
 
 KEPT_IN_MEMORY: Final = 200
 """Responses to requests that only read."""
@@ -56,19 +54,6 @@ STOP_WRITE_S: Final = 0.5
 """How long after its arrival a stopping request is answered at the latest, whether its response is on disk or not."""
 
 _log = structlog.get_logger(__name__)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Noted:
-    """A transaction in the store.
-
-    Attributes:
-        status: not stored before (`new`), in progress, in progress when its process died, or answered.
-        response: the response that was sent, as JSON; "" without one.
-    """
-
-    status: TransactionStatus
-    response: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +135,7 @@ class Transactions:
         if self._connection is None:
             connection = open_transaction_file(self.path)
             self._retention.load(connection)
-            self._memory.add_stored(_stored(connection))
+            self._memory.add_stored(stored(connection))
             self._connection = connection
         return self._connection
 
@@ -304,8 +289,12 @@ class Transactions:
         Raises:
             RefusedRequestError: it cannot be written.
         """
-        self._memory.values.pop(key, None)
-        await self._run(lambda: self._store_value(key, value))
+        kept = {name: self._memory.values.pop(name) for name in (key,) if name in self._memory.values}
+        try:
+            await self._run(lambda: store_value(self._database(), key, value))
+        except RefusedRequestError:
+            self._memory.values = kept | self._memory.values
+            raise
 
     def remember_later(self, key: str, value: str | None) -> None:
         """Keep a value under a name in memory until the next `write_back` stores it."""
@@ -315,12 +304,7 @@ class Transactions:
         """The value that was kept under that name, None without one."""
         if key in self._memory.values:
             return self._memory.values[key]
-
-        def read() -> str | None:
-            row = self._database().execute("SELECT value FROM memory WHERE key = ?", (key,)).fetchone()
-            return None if row is None else str(row[0])
-
-        return await self._run(read)
+        return await self._run(lambda: recalled(self._database(), key))
 
     async def write_back(self) -> bool:
         """Store what could not be stored before; returns whether nothing is left, and never raises for the disk."""
@@ -342,7 +326,7 @@ class Transactions:
     def _store_all(self, rows: Mapping[str, Known], values: Mapping[str, str | None], forgotten: list[str]) -> None:
         """Adds the transactions that the disk forgets to `forgotten`, also if it refuses a later one."""
         for name, value in values.items():
-            self._store_value(name, value)
+            store_value(self._database(), name, value)
         for key, known in rows.items():
             assert known.response is not None
             # one stored meanwhile for a different request keeps the transaction
@@ -352,36 +336,13 @@ class Transactions:
 
     def _store_response(self, key: str, command: str, response: str) -> list[str]:
         """Returns the transactions that are forgotten."""
-        with self._database() as database:
-            database.execute("UPDATE transactions SET response = ? WHERE id = ?", (response, key))
-            forgotten = self._retention.due(command, response)
-            database.executemany("DELETE FROM transactions WHERE id = ?", [(one,) for one in forgotten])
+        forgotten = self._retention.due(command, response)
+        store_response(self._database(), key, response, forgotten)
         self._retention.answered(key, command, response)
         return forgotten
 
-    def _store_value(self, key: str, value: str | None) -> None:
-        with self._database() as database:
-            if value is None:
-                database.execute("DELETE FROM memory WHERE key = ?", (key,))
-            else:
-                database.execute("INSERT OR REPLACE INTO memory VALUES (?, ?)", (key, value))
-
     def _note(self, key: str, command: str, digest: str) -> Noted:
-        with self._database() as database:
-            row = database.execute(
-                "SELECT command, digest, boot_id, response FROM transactions WHERE id = ?", (key,)
-            ).fetchone()
-            if row is None:
-                database.execute(
-                    "INSERT INTO transactions SELECT ?, ?, ?, ?, NULL, COALESCE(MAX(number), 0) + 1 FROM transactions",
-                    (key, command, digest, self._boot_id),
-                )
-                return Noted(status="new")
-        if (row[0], row[1]) != (command, digest):
-            raise conflict(str(row[0]))
-        if row[3] is not None:
-            return Noted(status="answered", response=str(row[3]))
-        return Noted(status="under way" if row[2] == self._boot_id else "interrupted")
+        return note(self._database(), key, command, digest, boot_id=self._boot_id)
 
     async def _run(self, work: Callable[[], T]) -> T:
         try:
@@ -392,15 +353,6 @@ class Transactions:
             ) from error
         except UsageError as error:
             raise RefusedRequestError("storage", f"{error}; nothing was done") from error
-
-
-def _stored(connection: sqlite3.Connection) -> dict[str, Known]:
-    """The transactions in the file, oldest first; with the response of stopping requests."""
-    rows = connection.execute("SELECT id, command, digest, response FROM transactions ORDER BY number")
-    return {
-        key: Known(sys.intern(command), digest, response.encode() if response and command in STOPPING else None)
-        for key, command, digest, response in rows
-    }
 
 
 def _digest(request: Request) -> str:

@@ -16,7 +16,8 @@ import pytest
 from panoexec.mission.log.events import Event, MissionFinished, ShotAccepted
 from panoexec.mission.log.states import MissionState
 from panoexec.mqtt.messages import dump, dump_json, failed, ok
-from panoexec.mqtt.requests import RefusedRequestError, parse_request
+from panoexec.mqtt.parsing import parse_request
+from panoexec.mqtt.requests import RefusedRequestError
 from panoexec.mqtt.topics import Topics
 from tests.repository import ROOT
 from tests.wire.broker import needs_mosquitto, running_broker

@@ -10,7 +10,8 @@ from panoexec.clock import SystemClock
 from panoexec.daemon.daemon import Daemon
 from panoexec.daemon.sdnotify import SystemdNotifier
 from panoexec.inputs.config import Config
-from panoexec.mqtt.requests import RefusedRequestError, parse_request
+from panoexec.mqtt.parsing import parse_request
+from panoexec.mqtt.requests import RefusedRequestError
 
 
 @pytest.fixture

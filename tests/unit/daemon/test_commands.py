@@ -20,7 +20,7 @@ from panoexec.daemon.vehicle_link import VehicleLink
 from panoexec.errors import DeviceError
 from panoexec.inputs.config import Config
 from panoexec.mqtt.incoming import Incoming
-from panoexec.mqtt.requests import parse_request
+from panoexec.mqtt.parsing import parse_request
 from panoexec.mqtt.transactions import MAX_UNDER_WAY, Transactions
 from tests.waiting import eventually
 

@@ -22,7 +22,8 @@ from panoexec.errors import UsageError
 from panoexec.mqtt import transaction_file
 from panoexec.mqtt.requests import RefusedRequestError, StartRequest
 from panoexec.mqtt.transaction_file import FORGOTTEN, open_transaction_file
-from panoexec.mqtt.transactions import Noted, Transactions
+from panoexec.mqtt.transaction_rows import Noted
+from panoexec.mqtt.transactions import Transactions
 
 FLIPS = int(os.environ.get("PANOEXEC_FLIPS", "60"))
 ROWS = 30

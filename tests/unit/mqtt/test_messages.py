@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from panoexec.mqtt.messages import State
-from panoexec.mqtt.requests import parse_request
+from panoexec.mqtt.parsing import parse_request
 from tests.repository import ROOT
 
 TEXT = (ROOT / "docs" / "ground-station.md").read_text(encoding="utf-8")

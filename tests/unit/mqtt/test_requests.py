@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from panoexec.mqtt.messages import Response, dump, failed
-from panoexec.mqtt.requests import MAX_PAYLOAD, REQUESTS, PlanRequest, RefusedRequestError, SkipRequest, parse_request
+from panoexec.mqtt.parsing import parse_request
+from panoexec.mqtt.requests import MAX_PAYLOAD, REQUESTS, PlanRequest, RefusedRequestError, SkipRequest
 
 
 def refused(command: str, payload: bytes | dict[str, Any], **options: Any) -> RefusedRequestError:

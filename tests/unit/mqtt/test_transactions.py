@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 from panoexec.errors import UsageError
 from panoexec.mqtt import transaction_file
 from panoexec.mqtt.messages import Response, ok
-from panoexec.mqtt.requests import RefusedRequestError, Request, parse_request
+from panoexec.mqtt.parsing import parse_request
+from panoexec.mqtt.requests import RefusedRequestError, Request
 from panoexec.mqtt.transaction_file import StorageDownError
 from panoexec.mqtt.transactions import Transactions
 
@@ -164,6 +165,22 @@ async def test_remembers(tmp_path: Path) -> None:
     assert await store.recall("camera") == "x"
     await store.remember("camera", None)
     assert await store.recall("camera") is None
+    await store.close()
+
+
+async def test_a_value_that_waits_for_the_disk_outlives_one_that_the_disk_refuses(tmp_path: Path) -> None:
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="b")
+    await store.remember("declined", "m1")
+    store._database().execute("PRAGMA query_only = ON")
+    store.remember_later("declined", "m2")
+    with pytest.raises(RefusedRequestError, match="nothing was done"):
+        await store.remember("declined", None)
+    assert await store.recall("declined") == "m2"
+    store._database().execute("PRAGMA query_only = OFF")
+    assert await store.write_back()
+    await store.close()
+    store = await Transactions.open(tmp_path / "t.sqlite", boot_id="c")
+    assert await store.recall("declined") == "m2"
     await store.close()
 
 
