@@ -1,7 +1,7 @@
 """What each source says of a panorama, and which one comes first: a person, then a plan file, then the defaults.
 
 * A person says it on the command line or in an MQTT request: `PlanOptions`, whose `over` merges it with the rest.
-* A plan file says it under `constraints`: `ConstraintsModel`, `constraints_to_data`, `ConstraintsFields`.
+* A plan file says it under `constraints`: `ConstraintsModel`, `constraints_to_data`.
 * The configuration says it for the daemon: `configured_spec`. The command line has defaults of its own.
 """
 
@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, WithJsonSchema, field_validator
+from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator
 
 from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.optics import Camera
@@ -143,32 +143,36 @@ def _said(value: _T | None, otherwise: _T) -> _T:
 
 
 class PlanFileModel(BaseModel):
-    """A part of a plan file: unknown keys are ignored."""
+    """A part of a plan file: unknown keys are ignored; what panoexec writes has every key."""
 
-    model_config = ConfigDict(extra="ignore", frozen=True)
+    model_config = ConfigDict(extra="ignore", frozen=True, json_schema_serialization_defaults_required=True)
 
 
-class _ToleranceModel(PlanFileModel):
+class ToleranceModel(PlanFileModel):
+    """Largest accepted pointing error of each axis, degrees."""
+
     pitch: AxisTolerance
     roll: AxisTolerance
     yaw: AxisTolerance
 
 
-class _MaskModel(PlanFileModel):
+class MaskModel(PlanFileModel):
+    """A box of directions that needs no coverage."""
+
     elevation_deg: tuple[Elevation, Elevation]
     azimuth_deg: tuple[Degrees, Degrees]
 
 
 class ConstraintsModel(PlanFileModel):
-    """`constraints` of a plan file, checked."""
+    """`constraints` of a plan file and of the topic `plan`; their JSON Schema is generated from this."""
 
     overlap_h: Overlap
     overlap_v: Overlap
     elevation_deg: tuple[Elevation, Elevation]
     azimuth_deg: tuple[Degrees, Degrees] = (-180.0, 180.0)
-    tolerance_deg: _ToleranceModel
+    tolerance_deg: ToleranceModel
     guarantee: Literal["coverage", "all"] = "coverage"
-    masks: Annotated[tuple[_MaskModel, ...], Field(max_length=1000)] = ()
+    masks: Annotated[tuple[MaskModel, ...], Field(max_length=1000)] = ()
 
     @field_validator("elevation_deg")
     @classmethod
@@ -233,37 +237,6 @@ def constraints_to_data(constraints: Constraints) -> dict[str, Any]:
             for mask in constraints.masks
         ],
     }
-
-
-class _Written(BaseModel):
-    model_config = ConfigDict(frozen=True)
-
-
-class TolerancesFields(_Written):
-    """Largest accepted pointing error of each axis, degrees."""
-
-    pitch: Finite
-    roll: Finite
-    yaw: Finite
-
-
-class MaskFields(_Written):
-    """A box of directions that needs no coverage."""
-
-    elevation_deg: tuple[Finite, Finite]
-    azimuth_deg: tuple[Finite, Finite]
-
-
-class ConstraintsFields(_Written):
-    """`constraints` as a plan file and the topic `plan` carry them; their JSON Schema is generated from this."""
-
-    overlap_h: Finite
-    overlap_v: Finite
-    elevation_deg: tuple[Finite, Finite]
-    azimuth_deg: tuple[Finite, Finite]
-    tolerance_deg: TolerancesFields
-    guarantee: Annotated[Literal["coverage", "all"], WithJsonSchema({"enum": ["coverage", "all"]})]
-    masks: tuple[MaskFields, ...]
 
 
 # --- in the configuration
