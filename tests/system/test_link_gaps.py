@@ -28,7 +28,8 @@ from panoexec.sim.faults import FaultSpec
 
 GAPS = int(os.environ.get("PANOEXEC_GAPS", "4"))
 SEED = int(os.environ.get("PANOEXEC_SEED", "0"))
-IN_ONE_MISSION = 4
+IN_ONE_MISSION = 10 if GAPS > 4 else 4
+SHOTS = 8 * IN_ONE_MISSION
 APART_S = 5.0
 """From the end of a gap to the next one: at least one shot."""
 TOLERANCE = Tolerance(pitch_deg=0.25, roll_deg=0.25, yaw_deg=1.0)
@@ -47,8 +48,7 @@ def _gaps(seed: int) -> tuple[tuple[float, float], ...]:
 
 
 def _options(storage: Path, spans: tuple[tuple[float, float], ...], *, seed: int) -> DryRunOptions:
-    count = 32
-    shots = tuple(Shot(index=i, row=0, pitch_deg=-25.0, yaw_deg=-180.0 + 360.0 * i / count) for i in range(count))
+    shots = tuple(Shot(index=i, row=0, pitch_deg=-25.0, yaw_deg=-180.0 + 360.0 * i / SHOTS) for i in range(SHOTS))
     plan = Plan(
         method="certified",
         camera=CameraConfig().optics,
