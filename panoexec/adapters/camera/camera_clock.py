@@ -26,6 +26,10 @@ _DRIFT: Final = 2e-4
 LATE_S: Final = 0.25
 """A message that is later than predicted by more than this was held up, or the camera's clock was stepped back. A
 smaller step back looks like a delay until the messages from before it have left the window."""
+APART_S: Final = 0.5
+"""Two late messages tell of a step if so much time lies between them; closer ones may have waited in one queue."""
+_HELD_UP_S: Final = 1.0
+"""While a message is suspected that is late by no more than this, dates are widened by it; beyond, they wait."""
 _AGREE_S: Final = 0.1
 _LATEST_REPORT_S: Final = 10.0
 """How long a report may be under way."""
@@ -66,8 +70,16 @@ class CameraClock:
 
     @property
     def suspicious(self) -> bool:
-        """Whether one more message will tell if the camera's clock was stepped back."""
-        return self._suspect is not None
+        """Whether one more message, `APART_S` later, will tell if the camera's clock was stepped back by so much that
+        nothing can be dated until then."""
+        return self._late_s > _HELD_UP_S
+
+    @property
+    def _late_s(self) -> float:
+        """By how much the suspected message is late: how far the clock was stepped back if it was; 0 without one."""
+        if self._suspect is None or not self._pairs:
+            return 0.0
+        return max(0.0, self._suspect[1] - self._predict(self._suspect[0])[0])
 
     def note(self, stamp_s: float, received_s: float) -> None:
         """Take a message that was stamped when it was sent.
@@ -106,11 +118,14 @@ class CameraClock:
         if 0 < predicted_s - received_s <= error_s + DELAY_S:
             predicted_s = received_s
         error_s += DELAY_S
+        late_s = min(self._late_s, received_s - predicted_s)
+        if late_s > 0:  # stepped back, or only held up: the date covers both, as far as it lies before the arrival
+            predicted_s, error_s = predicted_s + late_s / 2, error_s + late_s / 2
         if self._before is None or received_s > self._found_s + _WINDOW_S:
             return predicted_s, error_s
         old_s, old_error_s = self._before.date(stamp_s, received_s)
         may_be_old = received_s - _LATEST_REPORT_S - old_error_s <= old_s <= self._found_s + old_error_s
-        may_be_new = predicted_s >= self.in_doubt_since_s - error_s
+        may_be_new = self.in_doubt_since_s - error_s <= predicted_s <= received_s + error_s
         if may_be_old == may_be_new:
             return math.nan, math.nan
         return (predicted_s, error_s) if may_be_new else (old_s, old_error_s)
@@ -125,8 +140,14 @@ class CameraClock:
         return best[0] - best[1], best[1]
 
     def _suspected(self, stamp_s: float, received_s: float) -> None:
-        """Two late messages in a row that agree with each other are a step; a single one was held up."""
-        first, self._suspect = self._suspect, (stamp_s, received_s)
+        """Two late messages in a row that agree with each other are a step; a single one was held up.
+
+        Messages that waited in one queue agree too, and arrive together, so the two must be apart.
+        """
+        first = self._suspect
+        if first is not None and 0 <= received_s - first[1] < APART_S and abs(stamp_s - first[0]) < APART_S:
+            return
+        self._suspect = (stamp_s, received_s)
         if first is None:
             return
         apart_s = (received_s - first[1]) - self._rate * (stamp_s - first[0])

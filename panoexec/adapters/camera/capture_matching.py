@@ -139,13 +139,19 @@ class CaptureMatcher:
                 self._settle(again, capture)
 
     def _doubt_dates_around_a_step(self) -> None:
-        """After a step of the camera's clock: photos that were dated since the last message before it are in doubt."""
+        """After a step of the camera's clock: photos that were dated since the last message before it are in doubt.
+
+        A stamp that lies in the future by the clock as it is now was given before the step: its date is true.
+        """
         if self._clock.steps == self._steps:
             return
         self._steps = self._clock.steps
         for capture in self._captures:
             report = capture.sources.get(Source.CAPTURED)
-            if report is not None and report.evidence.received_s > self._clock.in_doubt_since_s:
+            if report is None or not report.evidence.received_s > self._clock.in_doubt_since_s:
+                continue
+            exposed_s, error_s = self._clock.date(report.evidence.exposed_vehicle_s, report.evidence.received_s)
+            if not abs(exposed_s - report.exposed_s) <= error_s + report.error_s:  # NaN: from before the step or after
                 capture.contradict(f"the camera's clock was stepped about when it reported photo {report.index}")
 
     def _settle(self, report: Report, capture: Capture | None) -> Capture | None:

@@ -16,7 +16,7 @@ import structlog
 from mavsdk.plugins.camera import Camera
 
 from panoexec.adapters.camera.camera_choice import CAPTURES_VIDEO, HAS_MODES, CameraCandidate
-from panoexec.adapters.camera.camera_clock import CameraClock
+from panoexec.adapters.camera.camera_clock import APART_S, CameraClock
 from panoexec.adapters.camera.camera_discovery import CameraDiscovery
 from panoexec.adapters.camera.camera_kind import CameraKind, OpenCamera
 from panoexec.adapters.camera.camera_pace import CameraPace
@@ -419,6 +419,7 @@ class MavsdkCamera:
         try:
             status = await link.requests.message(CAPTURE_STATUS, "CAMERA_CAPTURE_STATUS", component=target)
             if self._stamps.suspicious:
+                await link.clock.sleep(APART_S)
                 await link.requests.command(REQUEST_MESSAGE, [CAPTURE_STATUS], component=target)
         finally:
             self._matcher.redate(link.clock.monotonic())
