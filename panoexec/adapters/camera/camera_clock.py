@@ -70,8 +70,7 @@ class CameraClock:
 
     @property
     def suspicious(self) -> bool:
-        """Whether one more message, `APART_S` later, will tell if the camera's clock was stepped back by so much that
-        nothing can be dated until then."""
+        """Whether the clock may have been stepped back so far that nothing can be dated; the next message tells."""
         return self._late_s > _HELD_UP_S
 
     @property
