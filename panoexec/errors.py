@@ -59,9 +59,18 @@ def to_install(extra: str) -> str:
 
 
 class DeviceError(PanoexecError):
-    """The gimbal, the camera or the autopilot refused, failed or did not answer in time."""
+    """The gimbal, the camera or the autopilot refused, failed or did not answer in time.
+
+    Args:
+        text: what happened.
+        advice: what to set or do; "" if the text says it, or what helps is not known.
+    """
 
     exit_code = 3
+
+    def __init__(self, text: str = "", *, advice: str = "") -> None:
+        self.advice = advice
+        super().__init__(text)
 
 
 class LinkError(DeviceError):

@@ -63,13 +63,8 @@ async def check_camera(
                     examine_interval(one.interval_s, config, findings)
     except DeviceError as error:
         kind = KINDS[config.camera.trigger]
-        if "component = 1" in str(error):  # PX4's own trigger: its parameters may have been set already
-            advice = "set [camera] component = 1 if TRIG_MODE is 1, or connect a MAVLink camera"
-        elif "set TRIG_MODE" in str(error):
-            advice = "TRIG_MODE = 1"
-        else:
-            parameters = [advise("camera", findings.autopilot)] if kind.set_by_autopilot else []
-            advice = "; ".join([*parameters, kind.settings])
+        parameters = [advise("camera", findings.autopilot)] if kind.set_by_autopilot else []
+        advice = error.advice or "; ".join([*parameters, kind.settings])
         findings.missing("camera", "found", str(error), needed=kind.needed, advice=advice)
 
 

@@ -67,10 +67,7 @@ async def check_vehicle(
         async with linked_vehicle(config, url, clock=clock) as linked:
             await examine_vehicle(linked, config, findings, patience_s=patience_s, photo=photo)
     except LinkError as error:
-        advice = "[vehicle] connection"
-        if "in use" in str(error):
-            advice = "if the daemon uses it: systemctl stop panoexec, run panoexec doctor, systemctl start panoexec"
-        findings.missing("link", "port", str(error), advice=advice)
+        findings.missing("link", "port", str(error), advice=error.advice or "[vehicle] connection")
 
 
 async def examine_vehicle(

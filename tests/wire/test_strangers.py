@@ -11,7 +11,10 @@ from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.roster import AutopilotKind
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import SystemClock
+from panoexec.doctor.camera import check_camera
+from panoexec.doctor.findings import Findings
 from panoexec.errors import LinkError
+from panoexec.inputs.config import Config
 from panoexec.sim.mavlink.dialect import mavlink
 from tests.waiting import eventually
 from tests.wire.scripted_peer import ACCEPTED, DENIED, ScriptedPeer, listening
@@ -165,6 +168,25 @@ async def test_messages_of_other_systems_reach_no_handler() -> None:
     assert "file:///etc/hostname" in link.files.refused
     assert {name for name, _, _ in heard} == set(names)
     assert link.boot_count <= 1
+
+
+async def test_a_camera_with_another_system_id_is_named_with_what_to_set_and_nothing_else() -> None:
+    async with listening(Autopilot("ardupilot", system=4)) as ours, MavsdkLink(ours.url, clock=CLOCK) as link:
+        await link.wait_autopilot(20)
+        async with listening(Autopilot("px4", system=1), ours.port) as foreign:
+            foreign.beating = False
+
+            def is_heard() -> bool:
+                foreign.beat(100, 30)
+                return link.roster.member(1, 100) is not None
+
+            await eventually(is_heard, 20)
+            findings = Findings()
+            await check_camera(link, Config(), findings, patience_s=0.5, photo=False)
+    (finding,) = findings.all
+    assert "system 1" in finding.found
+    assert "but the vehicle is system 4" in finding.found
+    assert finding.advice == "the camera's own settings: system id 4"
 
 
 async def test_an_acknowledgement_of_another_system_is_none() -> None:

@@ -57,6 +57,8 @@ class CameraClock:
         may be wrong."""
         self.steps = 0
         """How often the camera's clock was found stepped, or the camera rebooted."""
+        self.step_s = 0.0
+        """By how much it was stepped the last time, seconds; negative: back."""
 
     @property
     def rate(self) -> float:
@@ -92,7 +94,7 @@ class CameraClock:
         if self._pairs:
             predicted_s, error_s = self._predict(stamp_s)
             if received_s < predicted_s - error_s - DELAY_S:  # arrived before it was sent: stepped forward
-                self._restart([], received_s)
+                self._restart([], received_s, predicted_s - received_s)
             elif received_s > predicted_s + error_s + LATE_S:
                 self._suspected(stamp_s, received_s)
                 return
@@ -151,11 +153,12 @@ class CameraClock:
             return
         apart_s = (received_s - first[1]) - self._rate * (stamp_s - first[0])
         if abs(apart_s) <= _AGREE_S + self._rate_error * abs(stamp_s - first[0]):
-            self._restart([first, (stamp_s, received_s)], first[1])
+            self._restart([first, (stamp_s, received_s)], first[1], -self._late_s)
 
-    def _restart(self, pairs: list[tuple[float, float]], found_s: float) -> None:
+    def _restart(self, pairs: list[tuple[float, float]], found_s: float, step_s: float) -> None:
         """Begin anew after a step: offsets from before say nothing; the rate stays as estimated."""
         self.steps += 1
+        self.step_s = step_s
         self.in_doubt_since_s = self._pairs[-1][1]
         self._before = CameraClock(self._pairs, rate=self._rate, rate_error=self._rate_error)
         self._suspect = None

@@ -123,7 +123,8 @@ class CameraDiscovery:
         if mode in _BY_ITSELF:
             raise DeviceError(
                 f"PX4's camera trigger fires by itself (TRIG_MODE {mode}), so its photos cannot be told from those "
-                "that are asked for: set TRIG_MODE = 1 and reboot"
+                "that are asked for: set TRIG_MODE = 1 and reboot",
+                advice="TRIG_MODE = 1, and reboot",
             )
         by_key = self._component == AUTOPILOT and mode is None
         if mode not in _TRIGGER_MODES and not by_key:
@@ -131,11 +132,27 @@ class CameraDiscovery:
         reason = "[camera] component" if by_key else f"TRIG_MODE {mode}, and no camera answers"
         return Choice(camera=CameraCandidate(component=AUTOPILOT), reason=reason)
 
-    def why_none(self) -> str:
-        """Why there is no camera to use."""
+    def none_found(self, timeout_s: float) -> DeviceError:
+        """The error that says why there is no camera to use, and what to set where that is known.
+
+        Args:
+            timeout_s: how long it was looked for.
+        """
+        advice = ""
         if not self._link.connected:
-            return "no heartbeat from the autopilot"
-        return self._why_none_answers() or self._link.identity.foreign(MAV_TYPE_CAMERA, "camera") or self._advice()
+            why = "no heartbeat from the autopilot"
+        elif why := self._why_none_answers():
+            pass
+        elif why := self._link.identity.foreign(MAV_TYPE_CAMERA, "camera"):
+            advice = f"the camera's own settings: system id {self._link.identity.system}"
+        elif self._link.is_ardupilot:
+            why = (
+                "no component answers requests for CAMERA_INFORMATION (259); camera on a servo or relay: set CAM1_TYPE "
+                "(ArduPilot) and reboot; MAVLink camera: is it on, and does the autopilot forward its messages?"
+            )
+        else:
+            why, advice = self._why_no_px4_camera()
+        return DeviceError(f"no camera within {timeout_s:g} s: {why}", advice=advice)
 
     def _why_none_answers(self) -> str:
         candidates = self.candidates
@@ -148,22 +165,15 @@ class CameraDiscovery:
             return f"component {untold[0]} sends camera heartbeats but no CAMERA_INFORMATION (259) on request"
         return ""
 
-    def _advice(self) -> str:
-        if not self._link.is_ardupilot:
-            return self._why_no_px4_camera()
-        return (
-            "no component answers requests for CAMERA_INFORMATION (259); camera on a servo or relay: set CAM1_TYPE "
-            "(ArduPilot) and reboot; MAVLink camera: is it on, and does the autopilot forward its messages?"
-        )
-
-    def _why_no_px4_camera(self) -> str:
+    def _why_no_px4_camera(self) -> tuple[str, str]:
         text = "no component answers requests for CAMERA_INFORMATION (259)"
         if self._trigger_mode is None:
-            return (
-                f"{text}, and TRIG_MODE cannot be read: PX4's own camera trigger is used with [camera] component = 1; "
+            text += (
+                ", and TRIG_MODE cannot be read: PX4's own camera trigger is used with [camera] component = 1; "
                 "MAVLink camera: is it on, and does the autopilot forward its messages?"
             )
-        return f"{text}, and PX4's own camera trigger is off (TRIG_MODE {self._trigger_mode})"
+            return text, "set [camera] component = 1 if TRIG_MODE is 1, or connect a MAVLink camera"
+        return f"{text}, and PX4's own camera trigger is off (TRIG_MODE {self._trigger_mode})", ""
 
     async def _ask_for_flags(self) -> None:
         """Ask listed cameras whose own message was not seen: it came before there was a subscription, or was lost."""

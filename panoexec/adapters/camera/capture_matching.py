@@ -146,6 +146,7 @@ class CaptureMatcher:
         if self._clock.steps == self._steps:
             return
         self._steps = self._clock.steps
+        _log.warning("the camera's clock was stepped", by_s=round(self._clock.step_s, 3))
         for capture in self._captures:
             report = capture.sources.get(Source.CAPTURED)
             if report is None or not report.evidence.received_s > self._clock.in_doubt_since_s:

@@ -170,7 +170,7 @@ class MavsdkCamera:
             async with asyncio.timeout(timeout_s):
                 choice = await self._discovery.choose()
         except TimeoutError as error:
-            raise DeviceError(f"no camera within {timeout_s:g} s: {self._discovery.why_none()}") from error
+            raise self._discovery.none_found(timeout_s) from error
         camera = choice.camera
         own_trigger = camera.by_autopilot and not self._link.is_ardupilot and not camera.flags
         found = MavlinkCameraFound(

@@ -13,6 +13,8 @@ from mavsdk import Mavsdk, MavsdkError
 from panoexec.adapters.link.connection_url import ConnectionUrl
 from panoexec.errors import LinkError
 
+_STOP_THE_DAEMON = "if the daemon uses it: systemctl stop panoexec, run panoexec doctor, systemctl start panoexec"
+
 
 def open_connection(mavsdk: Mavsdk, url: ConnectionUrl) -> Any:
     """Add a connection and return its handle.
@@ -58,7 +60,8 @@ def _listening(url: ConnectionUrl) -> ConnectionUrl:
             errno.EADDRNOTAVAIL: f"{url.host} is not an address of this machine; 0.0.0.0 listens on all interfaces",
             errno.EACCES: f"{protocol} port {url.port} needs privileges; use one above 1023",
         }.get(error.errno or 0, error.strerror or str(error))
-        raise LinkError(f"cannot open {url}: {reason}") from error
+        advice = _STOP_THE_DAEMON if error.errno == errno.EADDRINUSE else ""
+        raise LinkError(f"cannot open {url}: {reason}", advice=advice) from error
     return ConnectionUrl(kind=url.kind, host=host, port=url.port)
 
 
