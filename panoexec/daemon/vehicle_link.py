@@ -159,7 +159,9 @@ class VehicleLink:
             link = linked.link
             self._linked, self._link, self._gimbal, self._vehicle = linked, link, linked.gimbal, linked.vehicle
             await self._find(link, self._gimbal)
-            self._camera = await stack.enter_async_context(open_camera(self._config.camera, link))
+            self._camera = await stack.enter_async_context(
+                open_camera(self._config.camera, link, spool=self._config.storage.path / "incoming")
+            )
             await self._find_camera(self._camera)
             if self._config.gimbal.yaw != "gimbal":
                 self._turn_limits = await linked.vehicle.turn_limits()

@@ -23,6 +23,7 @@ ENV_PREFIX = "PANOEXEC_"
 TURNING_MODES = frozenset({"OFFBOARD", "HOLD"})
 """Flight modes, by MAVSDK's names, in which ArduPilot (OFFBOARD) or PX4 (HOLD) executes yaw commands."""
 _ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
+_CAMERA_PORT = re.compile(r"usb:(\d{3},\d{3})?|ptpip:[A-Za-z0-9._-]+(:\d{1,5}(:\d{1,5})?)?")
 _HOST_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,252}")
 
 Positive: TypeAlias = Annotated[FiniteFloat, Field(gt=0)]
@@ -114,7 +115,9 @@ class CameraSection(Section):
     orientation: Literal["landscape", "portrait"] | None = None
     focal_length_mm: Positive | None = None
     component: Annotated[int, Field(ge=0, le=255)] = 0
-    trigger: Literal["mavlink", "serial"] = "mavlink"
+    trigger: Literal["mavlink", "serial", "gphoto2"] = "mavlink"
+    port: str | None = None
+    model: str | None = None
     serial_port: str | None = None
     serial_line: Literal["rts", "dtr", "bytes"] = "rts"
     serial_bytes: str | None = None
@@ -138,6 +141,13 @@ class CameraSection(Section):
             )
         return data
 
+    @field_validator("port")
+    @classmethod
+    def _port_is_one_of_libgphoto2(cls, value: str | None) -> str | None:
+        if value is not None and not _CAMERA_PORT.fullmatch(value):
+            raise ValueError(f'{value!r} is not a port: give "usb:", "usb:001,007" or "ptpip:HOST"')
+        return value
+
     @field_validator("file_hosts")
     @classmethod
     def _hosts_are_hosts(cls, value: tuple[str, ...]) -> tuple[str, ...]:
@@ -150,6 +160,8 @@ class CameraSection(Section):
     def _serial_is_complete(self) -> Self:
         if self.trigger == "serial" and not self.serial_port:
             raise ValueError('trigger = "serial" needs serial_port, for example "/dev/serial/by-id/…"')
+        if self.trigger != "gphoto2" and (self.port or self.model):
+            raise ValueError('port and model name a tethered camera: they need trigger = "gphoto2"')
         if self.serial_line == "bytes" and not self.serial_bytes:
             raise ValueError('serial_line = "bytes" needs serial_bytes, the text to send')
         if self.trigger == "serial" and self.evidence not in ("commanded", "acknowledged", "counted", "feedback_pin"):

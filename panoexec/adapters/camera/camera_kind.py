@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
@@ -85,14 +86,14 @@ class CameraKind:
     """One kind of camera; `open_camera.KINDS` lists them.
 
     Attributes:
-        open: makes the camera that `[camera]` describes, on an open link; an async context manager, whose entry raises
-            `DeviceError` if the camera cannot be opened.
+        open: makes the camera that `[camera]` describes, on an open link, with a folder for files that no mission has
+            taken yet; an async context manager, whose entry raises `PanoexecError` if the camera cannot be opened.
         settings: where to look when it is not found: configuration keys and files.
         needed: what is missing then; "" if the error says it all.
         set_by_autopilot: whether the autopilot's parameters decide too whether it is found.
     """
 
-    open: Callable[[CameraSection, MavsdkLink], AbstractAsyncContextManager[OpenCamera]]
+    open: Callable[[CameraSection, MavsdkLink, Path | None], AbstractAsyncContextManager[OpenCamera]]
     settings: str
     needed: str = ""
     set_by_autopilot: bool = False

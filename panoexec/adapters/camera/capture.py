@@ -120,9 +120,9 @@ class Capture:
         self._acknowledged_s = time_s
         self._merge(CaptureEvidence(level=EvidenceLevel.ACKNOWLEDGED, received_s=time_s))
 
-    def file_seen(self, time_s: float) -> None:
-        """The file that a report named exists."""
-        self._merge(CaptureEvidence(level=EvidenceLevel.FILE_SEEN, received_s=time_s))
+    def file_seen(self, time_s: float, *, file_url: str = "") -> None:
+        """The file that a report named exists; `file_url` names another one of the same photo instead."""
+        self._merge(CaptureEvidence(level=EvidenceLevel.FILE_SEEN, received_s=time_s, file_url=file_url))
 
     @property
     def contradicted(self) -> bool:

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from functools import partial
+from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
@@ -429,7 +430,8 @@ class MavsdkCamera:
             await link.requests.command(REQUEST_MESSAGE, [IMAGE_CAPTURED, index], component=target)
 
 
-def _open(section: CameraSection, link: MavsdkLink) -> AbstractAsyncContextManager[OpenCamera]:
+def _open(section: CameraSection, link: MavsdkLink, spool: Path | None) -> AbstractAsyncContextManager[OpenCamera]:
+    del spool  # nothing comes over its link but messages
     image_px = None
     with contextlib.suppress(PanoexecError):  # a bad profile is reported where it is needed
         camera = load_profile(section.profile, focal_length_mm=section.focal_length_mm).camera

@@ -13,6 +13,7 @@ import time
 from collections.abc import Awaitable, Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Final, Literal, Protocol, Self, TypeAlias
 
@@ -272,7 +273,9 @@ def _reason(error: Exception) -> str:
     return str(strerror or error)
 
 
-def _open(section: CameraSection, link: MavsdkLink) -> AbstractAsyncContextManager[OpenCamera]:
+def _open(section: CameraSection, link: MavsdkLink, spool: Path | None) -> AbstractAsyncContextManager[OpenCamera]:
+    del spool  # nothing comes over its link but messages
+
     async def is_wired() -> bool:
         return link.is_ardupilot and (await link.requests.parameter(_FEEDBACK_PIN) or -1) > 0
 

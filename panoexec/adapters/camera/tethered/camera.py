@@ -1,0 +1,454 @@
+"""A camera on a USB cable or on a network, by libgphoto2: trigger, photos and files, whatever happens to the cable.
+
+The process that holds the camera (`process`) is started anew whenever the camera was unplugged, restarted or hung. What
+a trigger then brought is settled by what the camera lists (`photos`). Nothing is ever changed on the camera's card.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import importlib.util
+import math
+import tempfile
+import time
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+import structlog
+
+from panoexec.adapters.camera.camera_kind import CameraKind, OpenCamera
+from panoexec.adapters.camera.capture import Capture, Report, Source
+from panoexec.adapters.camera.tethered.child import CallFailedError, CameraProcess
+from panoexec.adapters.camera.tethered.errors import explained
+from panoexec.adapters.camera.tethered.files import PhotoFiles
+from panoexec.adapters.camera.tethered.photos import Photo, PhotoBook
+from panoexec.adapters.link.mavsdk_link import MavsdkLink
+from panoexec.clock import Clock, SystemClock, work
+from panoexec.devices import CaptureEvidence, EvidenceLevel, PendingCapture, RecalledPhotos, TakenFile
+from panoexec.errors import DependencyError, DeviceError, LinkError, to_install
+from panoexec.inputs.config import CameraSection
+
+_AGAIN_S: Final = (0.2, 0.5, 1.0, 2.0)
+"""Pauses before the camera is opened anew; the last one repeats."""
+_SILENT_S: Final = 6.0
+"""A process that says nothing for so long hangs."""
+_WATCH_S: Final = 1.0
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Patience:
+    """How long things may take before something is done about it, seconds.
+
+    Attributes:
+        open_s: opening the camera and listing its card.
+        call_s: a trigger, until the process is killed.
+        list_s: a listing, until the process is killed.
+        back_s: how long a trigger waits for a camera that is being opened anew.
+        late_s: how long after a trigger, or after the camera answers again, its photo may still come.
+        missing_s: how long after a trigger the camera is not disturbed by a listing: it opens the camera anew.
+        look_s: between two looks for a photo that is missing.
+    """
+
+    open_s: float = 25.0
+    call_s: float = 4.0
+    list_s: float = 15.0
+    back_s: float = 8.0
+    late_s: float = 10.0
+    missing_s: float = 3.0
+    look_s: float = 0.25
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TetheredFound:
+    """What is known of a tethered camera; implements `CameraFound`."""
+
+    label: str
+    model: str = ""
+    is_two_way: bool = True
+    why: str = ""
+    may_tell_files: bool = True
+    image_width_px: int = 0
+    image_height_px: int = 0
+
+
+class TetheredCamera:
+    """Implements `OpenCamera`; an async context manager."""
+
+    def __init__(
+        self,
+        *,
+        clock: Clock,
+        port: str = "",
+        model: str = "",
+        spool: Path | None = None,
+        patience: Patience | None = None,
+    ) -> None:
+        """Create it; entering the context starts its process.
+
+        Args:
+            clock: of the mission.
+            port: `usb:…`, `ptpip:HOST`, or "" for the only camera on USB.
+            model: as libgphoto2 names it, or a part of it; "" for any.
+            spool: folder for files that no mission has taken yet; None: a temporary one.
+            patience: None: as usual.
+        """
+        self._patience = patience or Patience()
+        self._clock = clock
+        self._port, self._model = port, model
+        self._wanted_spool = spool
+        self._spool = Path()
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        self.book = PhotoBook(self._patience.late_s)
+        self._process: CameraProcess | None = None
+        self._opened = asyncio.Event()
+        self._about: dict[str, Any] = {}
+        self._problem = "it was not looked for yet"
+        self._storage: list[dict[str, Any]] = []
+        self._heard_s = -math.inf
+        self._ever = False
+        self._numbers = 0
+        self._triggering = asyncio.Lock()
+        self._listing = asyncio.Lock()
+        self._tasks: list[asyncio.Task[None]] = []
+        self._files: PhotoFiles | None = None
+        self.restarts = 0
+        """How often the camera had to be opened anew."""
+
+    # --- life
+
+    async def __aenter__(self) -> Self:
+        """Start looking for the camera.
+
+        Raises:
+            DependencyError: libgphoto2's Python binding is not installed.
+            DeviceError: the spool cannot be made.
+        """
+        if importlib.util.find_spec("gphoto2") is None:
+            raise DependencyError(f'trigger = "gphoto2" needs libgphoto2: {to_install("gphoto2")}')
+        try:
+            if self._wanted_spool is None:
+                self._temporary = tempfile.TemporaryDirectory(prefix="panoexec-camera-")
+                self._spool = Path(self._temporary.name)
+            else:
+                self._wanted_spool.mkdir(parents=True, exist_ok=True)
+                self._spool = self._wanted_spool
+        except OSError as error:
+            raise DeviceError(f"{self._wanted_spool}: no folder for the camera's files ({error.strerror})") from error
+        self._files = PhotoFiles(self._spool, clock=self._clock, call=self._call, opened=self._opened)
+        self._tasks = [
+            asyncio.create_task(self._keep(), name="tethered camera"),
+            asyncio.create_task(self._files.run(), name="files of the tethered camera"),
+        ]
+        return self
+
+    async def __aexit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Close the camera; files that were not fetched stay in it."""
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        if self._process is not None:
+            await self._process.stop()
+        if self._temporary is not None:
+            self._temporary.cleanup()
+
+    async def _keep(self) -> None:
+        """Hold the camera, and open it anew when it is gone."""
+        failures = 0
+        while True:
+            process = self._process = CameraProcess(self._told)
+            try:
+                await process.start()
+                # an opening takes real time; nothing waits for it on the mission's clock
+                about = await process.call("open", self._patience.open_s, port=self._port, model=self._model)
+                self._note_opened(about)
+                failures = 0
+                await self._watch(process)
+                why = process.why_gone
+            except CallFailedError as error:
+                why = explained(error.kind, str(error), port=self._port, model=self._model, code=error.code)
+            except DeviceError as error:
+                why = str(error)
+            was_open = self._opened.is_set()
+            self._opened.clear()
+            if why != self._problem or was_open:
+                _log.warning("camera not ready", reason=why)
+            self._problem = why
+            await process.stop()
+            await asyncio.sleep(_AGAIN_S[min(failures, len(_AGAIN_S) - 1)])
+            failures += 1
+
+    def _note_opened(self, about: dict[str, Any]) -> None:
+        now_s = self._clock.monotonic()
+        self._about = {key: about[key] for key in ("model", "port", "serial", "library")}
+        self._storage = about["storage"]
+        self._heard_s = time.monotonic()
+        files = [(folder, name) for folder, name in about["files"]]
+        if self._ever:
+            self.restarts += 1
+            self.book.postpone(now_s + self._patience.late_s)
+            self._matched(self.book.seen(files, now_s), now_s)
+        else:
+            self.book.baseline(files)
+        self._ever = True
+        _log.info("camera opened", **self._about, photos=self.book.count, again=self.restarts)
+        self._opened.set()
+
+    async def _watch(self, process: CameraProcess) -> None:
+        """Return when the process is gone; kills it when it says nothing any more."""
+        while not process.gone.is_set():
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_WATCH_S):
+                    await process.gone.wait()
+            silent_s = time.monotonic() - process.heard_s
+            if not (process.gone.is_set() or process.is_asked) and silent_s > _SILENT_S:
+                process.kill("the camera does not answer any more")
+
+    async def _call(self, do: str, timeout_s: float, **fields: object) -> Any:
+        """Ask the process of the camera; see `CameraProcess.call`."""
+        if self._process is None or not self._opened.is_set():
+            raise LinkError(f"the camera is not there: {self._problem}")
+        return await self._process.call(do, timeout_s, **fields)
+
+    # --- what a mission needs to know of it
+
+    @property
+    def files(self) -> PhotoFiles:
+        """The files of its photos; only while the context is entered."""
+        assert self._files is not None
+        return self._files
+
+    @property
+    def problem(self) -> str:
+        """Why the camera cannot be used now; "" if it can."""
+        return "" if self._opened.is_set() else self._problem
+
+    @property
+    def process_id(self) -> int:
+        """Of the process that holds the camera; 0 without one."""
+        return 0 if self._process is None else self._process.pid
+
+    @property
+    def storage_free_images(self) -> float:
+        """See `Camera.storage_free_images`."""
+        if not self._storage or any(one["free_images"] < 0 for one in self._storage):
+            return math.inf
+        return float(sum(0 if one["read_only"] else one["free_images"] for one in self._storage))
+
+    @property
+    def surplus_photos(self) -> int:
+        """Photos in the camera that no trigger of ours can claim."""
+        return len(self.book.surplus)
+
+    @property
+    def is_present(self) -> bool:
+        """See `OpenCamera.is_present`."""
+        return self._opened.is_set()
+
+    @property
+    def age_s(self) -> float:
+        """See `OpenCamera.age_s`."""
+        return time.monotonic() - self._heard_s
+
+    @property
+    def reports_photos(self) -> bool:
+        """See `ReportsPhotos.reports_photos`."""
+        return True
+
+    @property
+    def interval_s(self) -> float:
+        """See `PacesPhotos.interval_s`; a camera refuses what comes too early."""
+        return 0.0
+
+    @property
+    def ready_s(self) -> float:
+        """See `PacesPhotos.ready_s`: not while the photo of a trigger that brought none may still come."""
+        return self.book.doubt_until_s(self._clock.monotonic())
+
+    @property
+    def image_count(self) -> int:
+        """See `PhotoRecall.image_count`."""
+        return self.book.count if self._opened.is_set() and not self.book.waiting else -1
+
+    async def recall(self) -> RecalledPhotos:
+        """See `PhotoRecall.recall`: the camera cannot tell when its photos were taken, but how many it has.
+
+        Raises:
+            DeviceError: it did not answer.
+        """
+        await self.discover(self._patience.back_s)
+        await self._look()
+        return RecalledPhotos(image_count=self.book.count)
+
+    async def discover(self, timeout_s: float = 15.0) -> TetheredFound:
+        """See `OpenCamera.discover`.
+
+        Raises:
+            DeviceError: no camera; says why.
+        """
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(timeout_s):
+                await self._opened.wait()
+        if not self._opened.is_set():
+            raise DeviceError(f"no camera within {timeout_s:g} s: {self._problem}")
+        about = self._about
+        return TetheredFound(label=f"{about['model']} on {about['port']}", model=about["model"])
+
+    async def best_evidence(self) -> EvidenceLevel:
+        """See `OpenCamera.best_evidence`."""
+        return EvidenceLevel.FILE_SEEN
+
+    async def prepare(self) -> str:
+        """See `PreparesForPhotos.prepare`: a card that takes photos."""
+        await self.discover(self._patience.back_s)
+        if not self._storage:
+            return "the camera has no card: put one in"
+        if all(one["read_only"] for one in self._storage):
+            return "the camera's card is write-protected: slide its lock"
+        return ""
+
+    async def restore(self) -> None:
+        """See `PreparesForPhotos.restore`; there is nothing to undo."""
+
+    # --- triggers
+
+    async def trigger(self) -> PendingCapture:
+        """See `Camera.trigger`; not before it is settled what earlier triggers brought."""
+        async with self._triggering:
+            await self._settle()
+            process = await self._ready_process()
+            self._numbers += 1
+            capture = Capture(self._numbers, clock=self._clock, poll=self._poll, must_report=True)
+            capture.commanded(self._clock.monotonic())
+            self.book.sent(capture)
+            asked_s = time.monotonic()
+            try:
+                with work(self._clock):
+                    answer = await process.call("trigger", self._patience.call_s)
+            except CallFailedError as error:
+                self.book.refused(capture)
+                text = explained(error.kind, str(error), port=self._port, model=self._model, code=error.code)
+                raise DeviceError(text) from error
+            except LinkError as error:
+                return await self._hung(process, capture, str(error))
+            except asyncio.CancelledError:
+                self.book.gave_up(capture, self._clock.monotonic() + self._patience.late_s)
+                raise
+            if isinstance(self._clock, SystemClock):
+                capture.commanded(capture.commanded_s + (answer["sent"] - asked_s) * self._clock.speedup)
+            capture.acknowledged(self._clock.monotonic())
+            return capture
+
+    async def _ready_process(self) -> CameraProcess:
+        """The process, once the camera is open.
+
+        Raises:
+            LinkError: it is not opened in time; says why.
+        """
+        if not self._opened.is_set():
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(self._patience.back_s):
+                    await self._opened.wait()
+        if not self._opened.is_set() or self._process is None:
+            raise LinkError(f"the camera is not there: {self._problem}")
+        return self._process
+
+    async def _hung(self, process: CameraProcess, capture: Capture, why: str) -> PendingCapture:
+        """A trigger without an answer: whether it took a photo shows what the camera lists once it answers again."""
+        _log.warning("trigger without an answer", number=capture.number, reason=why)
+        process.kill(why)
+        self._opened.clear()
+        with contextlib.suppress(LinkError):
+            await self._ready_process()
+            await self._settle_one(capture)
+        if capture.known.level >= EvidenceLevel.CAPTURE_MESSAGE:
+            return capture
+        self.book.gave_up(capture, self._clock.monotonic() + self._patience.late_s)
+        raise LinkError(f"the camera did not carry out the trigger, or did not tell: {why}")
+
+    async def _settle(self) -> None:
+        """Wait until no earlier trigger can still bring a photo."""
+        clock, patience = self._clock, self._patience
+        while self.book.waiting or self.book.doubt_until_s(clock.monotonic()) > clock.monotonic():
+            await self._ready_process()
+            age_s = max((clock.monotonic() - one.commanded_s for one in self.book.waiting), default=0.0)
+            if age_s >= patience.missing_s:
+                await self._look()
+            for capture in self.book.waiting:
+                if age_s > patience.late_s:
+                    self.book.gave_up(capture, -math.inf)
+            if self.book.waiting or self.book.doubt_until_s(clock.monotonic()) > clock.monotonic():
+                await clock.sleep(patience.look_s)
+
+    async def _settle_one(self, capture: Capture) -> None:
+        """Wait for the photo of a trigger that was not answered."""
+        deadline_s = self._clock.monotonic() + self._patience.late_s / 4
+        while capture in self.book.waiting and self._clock.monotonic() < deadline_s:
+            await self._clock.sleep(self._patience.look_s)  # its event may come now
+        if capture in self.book.waiting:
+            await self._look()
+
+    # --- photos
+
+    def _told(self, event: dict[str, Any]) -> None:
+        """An event of the camera."""
+        self._heard_s = time.monotonic()
+        if event["event"] == "alive":
+            self._storage = event["storage"]
+        elif event["event"] == "added":
+            now_s = self._clock.monotonic()
+            self._matched(self.book.seen([(event["folder"], event["name"])], now_s), now_s)
+
+    async def _look(self) -> None:
+        """List the camera, and match what is new; an event may have been lost."""
+        async with self._listing:
+            process = self._process
+            if process is None or not self._opened.is_set():
+                return
+            with work(self._clock), contextlib.suppress(DeviceError):
+                files = await process.call("list", self._patience.list_s)
+                now_s = self._clock.monotonic()
+                self._matched(self.book.seen([(folder, name) for folder, name in files], now_s), now_s)
+
+    async def _poll(self, capture: Capture) -> None:
+        """See `Capture`: the photo's event may have been lost."""
+        if capture in self.book.waiting and self._clock.monotonic() - capture.commanded_s >= self._patience.missing_s:
+            await self._look()
+
+    def _matched(self, found: list[tuple[Photo, Capture]], now_s: float) -> None:
+        for photo, capture in found:
+            evidence = CaptureEvidence(
+                level=EvidenceLevel.CAPTURE_MESSAGE, received_s=now_s, reported_s=now_s, file_url=photo.path
+            )
+            capture.add(Report(source=Source.CAPTURED, evidence=evidence))
+            self.files.want(photo, capture)
+
+    async def next_file(self) -> TakenFile:
+        """See `HandsOverFiles.next_file`."""
+        return await self.files.next()
+
+    async def ask_for_file(self, told: str) -> bool:
+        """See `HandsOverFiles.ask_for_file`."""
+        photo = self.book.find(told)
+        if photo is None:
+            return False
+        self.files.want(photo)
+        return True
+
+
+def _open(section: CameraSection, link: MavsdkLink, spool: Path | None) -> AbstractAsyncContextManager[OpenCamera]:
+    return TetheredCamera(clock=link.clock, port=section.port or "", model=section.model or "", spool=spool)
+
+
+KIND: Final = CameraKind(
+    open=_open,
+    needed="a camera that libgphoto2 can hold",
+    settings="[camera] port, model; systemd/gphoto2.conf for the service",
+)
