@@ -235,7 +235,7 @@ async def test_the_trigger_is_prompt_while_a_file_is_fetched_and_the_process_is_
         camera_at(sim.address, tmp_path, Patience()) as camera,
     ):
         await camera.discover(30)
-        for number in range(1, 6):
+        for _ in range(5):
             await camera.trigger()
             await eventually(lambda: camera.image_count == len(sim.shown) > 0)  # its file is being fetched now
         for _ in range(5):
