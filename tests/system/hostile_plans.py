@@ -1,87 +1,30 @@
-"""Plan requests that are valid and cost as much as possible: `python -m tests.system.hostile_plans COUNT [SEED]`.
-
-Each is read as the daemon reads it and planned in a process of its own, whose peak memory and processor time are told.
-"""
+"""Plan requests that are valid and cost as much as possible, from several kinds that are hard on the planner."""
 
 from __future__ import annotations
 
 import json
-import os
 import random
-import resource
-import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from math import radians, tan
 from typing import Any
 
-from panoexec.daemon.mission_request import spec_of
-from panoexec.errors import PanoexecError
-from panoexec.inputs.config import Config
-from panoexec.mqtt.requests import PlanRequest
-
-LARGEST_BYTES = 64 * 1024
-"""Of a request, by the daemon."""
-
-MOST_CPU_S = 60
-"""Planning is ended after this much processor time; the daemon ends it too."""
+from panoexec.mqtt.requests import MAX_PAYLOAD
 
 Fields = dict[str, Any]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cost:
-    """What one request took: peak memory (MB), processor time (s), and how it ended."""
-
-    peak_mb: float
-    cpu_s: float
-    end: str
-
-
 def requests(count: int, seed: int) -> Iterator[tuple[str, Fields]]:
-    """So many hostile requests, each with the name of its kind."""
+    """So many hostile requests, each with the name of its kind; the worst known comes first."""
+    if count:
+        yield "worst", WORST
     rng = random.Random(seed)
-    for number in range(count):
+    for number in range(count - 1):
         kind = _KINDS[number % len(_KINDS)]
         yield kind.__name__.strip("_"), kind(rng)
 
 
-def cost_of(fields: Fields, *, most_cpu_s: int = MOST_CPU_S) -> Cost:
-    """Plan a request in a child process of this one."""
-    assert len(json.dumps({"transaction": "x"} | fields)) <= LARGEST_BYTES
-    read, write = os.pipe()
-    child = os.fork()
-    if not child:
-        os.close(read)
-        resource.setrlimit(resource.RLIMIT_CPU, (most_cpu_s, most_cpu_s + 5))
-        try:
-            end = _planned(fields)
-        except MemoryError:
-            end = "out of memory"
-        os.write(write, end.encode()[:2000])
-        os._exit(0)
-    os.close(write)
-    with os.fdopen(read) as pipe:
-        end = pipe.read()
-    _, status, usage = os.wait4(child, 0)
-    if not end:
-        end = f"ended by signal {os.waitstatus_to_exitcode(status)}"
-    return Cost(peak_mb=usage.ru_maxrss / 1024, cpu_s=usage.ru_utime + usage.ru_stime, end=end)
-
-
-def _planned(fields: Fields) -> str:
-    try:
-        request = PlanRequest.model_validate({"transaction": "x"} | fields)
-        plan = spec_of(Config(), request).plan()
-    except (PanoexecError, ValueError) as error:
-        return f"refused: {' '.join(str(error).split())}"
-    certified = plan.certificate is not None and plan.certificate.certified
-    return f"{len(plan.shots)} images, {'' if certified else 'not '}certified"
-
-
 def _camera(hfov_deg: float, vfov_deg: float) -> Fields:
     """A camera with about these fields of view, as a table in the request."""
-    from math import radians, tan  # noqa: PLC0415
-
     focal = 10.0
     width, height = (2 * focal * tan(radians(fov) / 2) for fov in (hfov_deg, vfov_deg))
     return {
@@ -174,7 +117,7 @@ def _plan_file(rng: random.Random, most: int, masks: list[Fields]) -> Fields:
     }
     fov = rng.choice([(60.0, 47.0), (175.0, 170.0), (5.0, 4.0), (0.1, 0.1)])
     fields: Fields = {"plan": {"shots": shots, "constraints": constraints}, "camera": _camera(*fov)}
-    while len(json.dumps({"transaction": "x"} | fields)) > LARGEST_BYTES:
+    while len(json.dumps({"transaction": "x"} | fields)) > MAX_PAYLOAD:
         del shots[len(shots) * 9 // 10 :]
     return fields
 
@@ -196,8 +139,63 @@ def _many_masks(rng: random.Random) -> Fields:
     return _plan_file(rng, 300, [mask for mask in masks if mask["elevation_deg"][0] < mask["elevation_deg"][1]])
 
 
+def _wide(rng: random.Random) -> Fields:
+    return _loose(rng) | {
+        "camera": _camera(rng.uniform(40, 110), rng.uniform(30, 60)),
+        "overlap_h": rng.uniform(0.5, 0.85),
+        "overlap_v": rng.uniform(0.0, 0.6),
+        "elevation_deg": [-rng.uniform(5, 90), rng.uniform(5, 90)],
+        "azimuth_deg": [-rng.uniform(20, 180), rng.uniform(20, 180)],
+    }
+
+
+def _tele(rng: random.Random) -> Fields:
+    fov_deg, fields = rng.uniform(0.5, 6.0), _loose(rng)
+    return fields | {
+        "camera": _camera(fov_deg, 2 * fov_deg / 3),
+        "elevation_deg": [-90, rng.uniform(-80, 90)],
+        "overlap": rng.uniform(0.0, 0.5),
+        "tolerance_deg": {axis: value / 20 for axis, value in fields["tolerance_deg"].items()},
+    }
+
+
+def _scattered_shots(rng: random.Random) -> Fields:
+    shots = [
+        {"pitch_deg": round(rng.uniform(-90, 90), 2), "yaw_deg": round(rng.uniform(-180, 180), 2)}
+        for _ in range(rng.randrange(200, 1300))
+    ]
+    return _loose(rng) | {"camera": _camera(rng.uniform(5, 110), rng.uniform(5, 60)), "plan": {"shots": shots}}
+
+
+def _sphere_with_masks(rng: random.Random) -> Fields:
+    masks = []
+    for _ in range(rng.randrange(20, 400)):
+        low, left = rng.uniform(-90, 80), rng.uniform(-180, 170)
+        masks.append({"elevation_deg": [low, low + rng.uniform(0.1, 9)], "azimuth_deg": [left, left + 9.0]})
+    fields = _loose(rng)
+    constraints = {
+        "overlap_h": 0.2,
+        "overlap_v": 0.2,
+        "elevation_deg": [-90, 90],
+        "tolerance_deg": fields["tolerance_deg"],
+        "masks": masks,
+    }
+    shots = [{"pitch_deg": pitch, "yaw_deg": yaw} for pitch in range(-80, 81, 20) for yaw in range(-180, 180, 15)]
+    return fields | {"camera": _camera(40, 30), "plan": {"shots": shots, "constraints": constraints}}
+
+
+def _loose(rng: random.Random) -> Fields:
+    """Tolerances and what they guarantee."""
+    tolerance = {axis: rng.choice([0.0, 0.5, 2.0, 5.0]) for axis in ("pitch", "roll", "yaw")}
+    return {"guarantee": rng.choice(["coverage", "all"]), "tolerance_deg": tolerance}
+
+
 _KINDS: tuple[Callable[[random.Random], Fields], ...] = (
     _tiny_images,
+    _wide,
+    _tele,
+    _scattered_shots,
+    _sphere_with_masks,
     _large_overlap,
     _large_tolerance,
     _long_images,
@@ -206,22 +204,11 @@ _KINDS: tuple[Callable[[random.Random], Fields], ...] = (
     _many_masks,
 )
 
-
-def main() -> None:
-    """Tell what each request takes, and the largest peaks at the end."""
-    count, seed = int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 1
-    only = sys.argv[3] if len(sys.argv) > 3 else ""
-    found = []
-    for number, (kind, fields) in enumerate(requests(count, seed)):
-        if only and only not in (kind, str(number)):
-            continue
-        cost = cost_of(fields)
-        found.append((cost.peak_mb, number, kind, cost))
-        print(f"{number:4} {kind:16} {cost.peak_mb:6.0f} MB {cost.cpu_s:5.1f} s  {cost.end[:150]}", flush=True)
-    print("largest:")
-    for peak_mb, number, kind, cost in sorted(found, key=lambda each: -each[0])[:10]:
-        print(f"{number:4} {kind:16} {peak_mb:6.0f} MB {cost.cpu_s:5.1f} s  {cost.end[:150]}")
-
-
-if __name__ == "__main__":
-    main()
+WORST: Fields = {
+    "camera": _camera(60, 47),
+    "elevation_deg": [-10, 10],
+    "azimuth_deg": [-40, 40],
+    "overlap_h": 0.7,
+    "tolerance_deg": {"pitch": 5, "roll": 5, "yaw": 5},
+    "guarantee": "all",
+}
