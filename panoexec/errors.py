@@ -77,5 +77,17 @@ class LinkError(DeviceError):
     """A connection (MAVLink, MQTT, serial) could not be made or was lost."""
 
 
+class PhotoFileError(DeviceError):
+    """The file of a photo could not be brought here.
+
+    Attributes:
+        final: trying again would not help: it is not allowed, or no photo.
+    """
+
+    def __init__(self, message: str, *, final: bool = False) -> None:
+        self.final = final
+        super().__init__(message)
+
+
 class MissionError(PanoexecError):
     """A mission cannot continue or cannot be resumed."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
 from panoexec.adapters.link.connection_url import ConnectionUrl
@@ -49,7 +50,7 @@ async def linked_vehicle(
     Raises:
         LinkError: the port is in use, or the device cannot be opened.
     """
-    section, camera, chosen = config.vehicle, config.camera, config.gimbal
+    section, chosen = config.vehicle, config.gimbal
     link = MavsdkLink(
         url,
         clock=clock,
@@ -57,7 +58,7 @@ async def linked_vehicle(
         vehicle_system_id=section.system_id,
         patient=patient,
         throttling=throttling,
-        files=FileUrls(folders=(config.storage.path / "missions", *camera.file_folders), hosts=camera.file_hosts),
+        files=FileUrls(folders=file_folders(config), hosts=file_hosts(config, url)),
     )
     async with (
         link,
@@ -70,3 +71,14 @@ async def linked_vehicle(
         MavsdkVehicle(link) as vehicle,
     ):
         yield LinkedVehicle(link=link, gimbal=gimbal, vehicle=vehicle)
+
+
+def file_folders(config: Config) -> tuple[Path, ...]:
+    """The folders of this computer in which a camera's photos may be."""
+    return (config.storage.path / "missions", *config.camera.file_folders)
+
+
+def file_hosts(config: Config, url: ConnectionUrl) -> tuple[str, ...]:
+    """The hosts that may serve a camera's photos: those configured, and the one that the link connects to."""
+    own = () if url.listens or not url.host else (url.host,)
+    return (*config.camera.file_hosts, *own)

@@ -14,9 +14,11 @@ import structlog
 
 from panoexec.clock import Clock
 from panoexec.daemon.auto_resume import AutoResume
+from panoexec.daemon.camera_files import CameraFiles
 from panoexec.daemon.commands import Commands
 from panoexec.daemon.event_publisher import EventPublisher
 from panoexec.daemon.examination import Examination
+from panoexec.daemon.landed_photos import LandedPhotos
 from panoexec.daemon.live_config import LiveConfig, Reloader
 from panoexec.daemon.missions import Missions
 from panoexec.daemon.sdnotify import SystemdNotifier
@@ -92,10 +94,19 @@ class Daemon:
             )
         self.vehicle = vehicle or VehicleLink(config, clock=clock, changed=self._changed.set)
         events = EventPublisher(mqtt=self.mqtt, changed=self._changed.set)
-        self.missions = Missions(config=self._config, clock=clock, sink=events, changed=self._mission_changed)
+        self._files = CameraFiles(self._config, self.vehicle)
+        self.missions = Missions(
+            config=self._config,
+            clock=clock,
+            sink=events,
+            changed=self._mission_changed,
+            fetchers=self._files.fetchers,
+        )
         self._examination = Examination(
             config=self._config, config_file=config_file, missions=self.missions, vehicle=self.vehicle
         )
+        self._files.in_flight = lambda: self.missions.busy
+        self._landed = LandedPhotos(config=self._config, missions=self.missions, files=self._files)
         self._publisher = StatePublisher(
             boot_id=self._boot_id,
             missions=self.missions,
@@ -138,6 +149,7 @@ class Daemon:
         except* _Stopped:
             pass
         finally:
+            await self._files.close()
             await transactions.close()
 
     async def _start(self, group: asyncio.TaskGroup, transactions: Transactions) -> None:
@@ -169,6 +181,7 @@ class Daemon:
             self._mqtt_task = group.create_task(self.mqtt.run(), name="mqtt link")
         group.create_task(self.vehicle.run(), name="vehicle link")
         group.create_task(self.missions.run(), name="missions")
+        group.create_task(self._landed.run(), name="photos of landed missions")
         group.create_task(self._publisher.run(), name="state")
         group.create_task(self._storage.run(), name="storage")
         group.create_task(self._watchdog.run(), name="watchdog")
@@ -183,6 +196,7 @@ class Daemon:
         self._notifier.extend_timeout(_STOP_S + 2 * _FLUSH_S)
         if self._commands is not None:
             self._commands.stopping.call_off()
+        await self._landed.make_way()
         try:
             async with asyncio.timeout(_STOP_S):
                 await self.missions.interrupted("panoexec was stopped; the mission can be resumed")

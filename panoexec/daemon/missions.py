@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -22,6 +22,7 @@ from panoexec.mission.log.events import Event, EventSink
 from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.log.states import ENDED, MissionState
 from panoexec.mission.mission_requests import CommandRefusedError
+from panoexec.mission.protocols import PhotoFetcher
 from panoexec.mission.settings import MissionSettings
 from panoexec.planning.model import Plan
 from panoexec.report.mission_outputs import write_mission_outputs
@@ -85,6 +86,7 @@ class Missions:
         clock: Clock,
         sink: EventSink,
         changed: Callable[[], None],
+        fetchers: Callable[[], Sequence[PhotoFetcher]] = tuple,
     ) -> None:
         """Create it.
 
@@ -93,6 +95,7 @@ class Missions:
             clock: the mission clock.
             sink: receives the events.
             changed: called when a mission begins or ends.
+            fetchers: returns the ways to bring the camera's files here.
         """
         self.record: MissionRecord | None = None
         self.plan: Plan | None = None
@@ -107,6 +110,7 @@ class Missions:
         self._clock = clock
         self._sink = sink
         self._changed = changed
+        self._fetchers = fetchers
         self._next: asyncio.Queue[tuple[StoredMission, Devices, Reference]] = asyncio.Queue()
         self._claimed = False
         self._over = False
@@ -115,6 +119,7 @@ class Missions:
         self._idle.set()
         self._begun = asyncio.Event()
         self._begun.set()
+        self._taken = asyncio.Event()
 
     @property
     def busy(self) -> bool:
@@ -124,6 +129,10 @@ class Missions:
     async def idle(self) -> None:
         """Return when no mission runs or is starting, and the files of the last one are written."""
         await self._idle.wait()
+
+    async def taken(self) -> None:
+        """Return when a mission runs or is starting."""
+        await self._taken.wait()
 
     def stop(self, command: StopCommand) -> None:
         """Give a stop to the running mission.
@@ -145,6 +154,15 @@ class Missions:
         if event.state is not MissionState.IDLE:
             self._begun.set()
         self._over = event.state in ENDED
+        self._sink.publish(event)
+
+    def added(self, event: Event) -> None:
+        """Publish an event that was appended to the journal of a mission that does not fly."""
+        for record in {
+            id(record): record for record in (self.record, self.offer and self.offer.record) if record
+        }.values():
+            if record.mission_id == event.mission_id and record.seq == event.seq - 1:
+                record.apply(event)
         self._sink.publish(event)
 
     @contextlib.asynccontextmanager
@@ -169,6 +187,7 @@ class Missions:
         self._claimed, self._over = True, False
         self.beginning = beginning
         self._idle.clear()
+        self._taken.set()
         try:
             await self.make_way()
             yield
@@ -306,6 +325,7 @@ class Missions:
             sink=self,
             vehicle=self._about_vehicle(),
             reference=reference,
+            fetchers=self._fetchers(),
         )
         with structlog.contextvars.bound_contextvars(mission_id=stored.directory.mission_id):
             async with opened as session:
@@ -358,6 +378,7 @@ class Missions:
     def _free(self) -> None:
         self._claimed = False
         self.beginning = None
+        self._taken.clear()
         self._idle.set()
         self._begun.set()
 

@@ -14,9 +14,10 @@ import structlog
 from panoexec.adapters.camera.camera_kind import OpenCamera
 from panoexec.adapters.camera.open_camera import open_camera
 from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
+from panoexec.adapters.link.connection_url import ConnectionUrl
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.serial_ports import connection_of
-from panoexec.adapters.linked_vehicle import LinkedVehicle, linked_vehicle
+from panoexec.adapters.linked_vehicle import LinkedVehicle, file_hosts, linked_vehicle
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import Clock
 from panoexec.daemon.errors import VehicleNotReadyError
@@ -68,6 +69,12 @@ class VehicleLink:
         self._turn_limits = TurnLimits()
         self._oks: tuple[bool, ...] = ()
         self._doubt = ""
+        self._url: ConnectionUrl | None = None
+
+    @property
+    def file_hosts(self) -> tuple[str, ...]:
+        """The hosts that may serve the camera's photos."""
+        return () if self._url is None else file_hosts(self._config, self._url)
 
     @property
     def status(self) -> VehicleStatus:
@@ -148,7 +155,7 @@ class VehicleLink:
 
     async def _hold(self) -> None:
         """One link, until it fails permanently."""
-        url = await asyncio.to_thread(connection_of, self._config.vehicle)
+        self._url = url = await asyncio.to_thread(connection_of, self._config.vehicle)
         # idle streams are checked once per second of real time, which is a long silence at a speed-up
         throttling = getattr(self._clock, "speedup", 1.0) <= 1.0
         async with contextlib.AsyncExitStack() as stack:

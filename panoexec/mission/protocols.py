@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from panoexec.angles import FloatArray
@@ -131,5 +132,31 @@ class PhotoRecall(Protocol):
 
         Raises:
             DeviceError: the camera did not answer.
+        """
+        ...
+
+
+class PhotoFetcher(Protocol):
+    """Brings the files of a camera to this computer."""
+
+    source: str
+    """The `source` of `photo_stored`."""
+
+    def takes(self, url: str) -> bool:
+        """Whether it can bring files with such a URL."""
+        ...
+
+    async def fetch(self, url: str, part: Path) -> Path:
+        """Bring a file here.
+
+        Args:
+            url: as told by the camera.
+            part: where to write it; what an earlier, interrupted attempt left there may be continued.
+
+        Returns:
+            `part`, or the file itself if it is on this computer already.
+
+        Raises:
+            PhotoFileError: it could not be brought; `final` if trying again would not help.
         """
         ...

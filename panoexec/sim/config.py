@@ -13,6 +13,7 @@ AutopilotKind: TypeAlias = Literal["ardupilot", "px4"]
 MountKind: TypeAlias = Literal["mavlink", "servo", "driver", "echo"]
 GimbalBeside: TypeAlias = Literal["none", "manager", "only-manager", "second", "stranger"]
 CameraKind: TypeAlias = Literal["mavlink", "servo", "px4-trigger"]
+CameraFiles: TypeAlias = Literal["folder", "http", "mftp"]
 CameraBeside: TypeAlias = Literal["none", "streamer", "camera"]
 
 DEFAULT_PORTS = (14540, 14550)
@@ -131,6 +132,9 @@ class CameraConfig:
             carried out later.
         trigger_fails: an autopilot answers such a trigger with FAILED, and carries it out later all the same.
         trigger_min_told: the autopilot tells that parameter.
+        files: where its reports say that its photos are: in a `folder` of this computer, on its server at loopback
+            (`http`), or served by MAVLink FTP (`mftp`).
+        files_kb_s: how fast it serves them by HTTP, in kB/s; 0: at once.
     """
 
     optics: Camera = DEFAULT_CAMERA
@@ -155,6 +159,8 @@ class CameraConfig:
     trigger_min_s: float = 0.0
     trigger_fails: bool = False
     trigger_min_told: bool = True
+    files: CameraFiles = "folder"
+    files_kb_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,14 +1,14 @@
-"""Any number of the simulation by its name (`gimbal.yaw.rate_deg_s=45`), and a whole configuration as JSON and back."""
+"""Any setting of the simulation by name (`gimbal.yaw.rate_deg_s=45`), and a whole configuration as JSON and back."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from panoexec.errors import UsageError
-from panoexec.sim.config import SimConfig
+from panoexec.sim.config import CameraFiles, SimConfig
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
@@ -41,21 +41,24 @@ _NOT_ZERO = {
 }
 
 
-def names(config: SimConfig) -> dict[str, float | bool]:
-    """Every number that can be set, with its value in `config`."""
+_CHOICES = {"camera.files": get_args(CameraFiles)}
+
+
+def names(config: SimConfig) -> dict[str, float | bool | str]:
+    """Every number and choice that can be set, with its value in `config`."""
     return {
         f"{part}.{name}": value for part in _CHANGEABLE for name, value in _leaves(getattr(config, part), prefix="")
     }
 
 
-def _leaves(value: Any, *, prefix: str) -> Iterator[tuple[str, float | bool]]:
+def _leaves(value: Any, *, prefix: str) -> Iterator[tuple[str, float | bool | str]]:
     for field in dataclasses.fields(value):
         inner = getattr(value, field.name)
         if dataclasses.is_dataclass(inner):
             # the optics are a camera profile's business
             if field.name != "optics":
                 yield from _leaves(inner, prefix=f"{prefix}{field.name}.")
-        elif isinstance(inner, bool | int | float):
+        elif isinstance(inner, bool | int | float | str):
             yield f"{prefix}{field.name}", inner
 
 
@@ -70,15 +73,18 @@ def changed(config: SimConfig, assignments: Iterable[str]) -> SimConfig:
         known = names(config)
         if name not in known:
             raise UsageError(f"--set {assignment}: no such number; there are {', '.join(sorted(known))}")
-        value = _parsed(text, known[name]) if equals else None
+        value = _parsed(name, text, known[name]) if equals else None
         if value is None or not _makes_sense(name, value):
-            kind = "true or false" if isinstance(known[name], bool) else _accepted(name)
-            raise UsageError(f"--set {assignment}: accepted is {name}= and {kind} (default {known[name]})")
+            raise UsageError(
+                f"--set {assignment}: accepted is {name}= and {_accepted(name, known[name])} (default {known[name]})"
+            )
         config = _with(config, name.split("."), value)
     return config
 
 
-def _parsed(text: str, like: float | bool) -> float | bool | None:
+def _parsed(name: str, text: str, like: float | bool | str) -> float | bool | str | None:
+    if isinstance(like, str):
+        return text if text in _CHOICES[name] else None
     if isinstance(like, bool):
         return {"true": True, "1": True, "false": False, "0": False}.get(text.lower())
     try:
@@ -90,21 +96,25 @@ def _parsed(text: str, like: float | bool) -> float | bool | None:
     return int(value) if isinstance(like, int) else value
 
 
-def _makes_sense(name: str, value: float | bool) -> bool:
+def _makes_sense(name: str, value: float | bool | str) -> bool:
     leaf = name.rpartition(".")[2]
-    if isinstance(value, bool) or leaf in _ANY_SIGN:
+    if isinstance(value, bool | str) or leaf in _ANY_SIGN:
         return True
     return value > 0 if leaf in _NOT_ZERO else value >= 0
 
 
-def _accepted(name: str) -> str:
+def _accepted(name: str, like: float | bool | str) -> str:
+    if isinstance(like, str):
+        return " or ".join(_CHOICES[name])
+    if isinstance(like, bool):
+        return "true or false"
     leaf = name.rpartition(".")[2]
     if leaf in _ANY_SIGN:
         return "a finite number"
     return "a number above 0" if leaf in _NOT_ZERO else "a number of at least 0"
 
 
-def _with(value: Any, path: list[str], leaf: float | bool) -> Any:
+def _with(value: Any, path: list[str], leaf: float | bool | str) -> Any:
     inner = leaf if len(path) == 1 else _with(getattr(value, path[0]), path[1:], leaf)
     return dataclasses.replace(value, **{path[0]: inner})
 

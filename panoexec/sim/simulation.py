@@ -48,6 +48,7 @@ class Simulation:
         link: Link,
         truth: TruthLog,
         develop: Callable[[ExposedPhoto], None] | None = None,
+        file_url: Callable[[Path], str] = Path.as_uri,
     ) -> None:
         self.config = config
         self.clock = clock
@@ -57,6 +58,7 @@ class Simulation:
         self.airframe = Airframe(config.airframe, seed=config.seed)
         self.vehicle: Vehicle | None = None
         self._to_darkroom = develop
+        self._file_url = file_url
         self._truth = truth
         self._steps = 0
         self._photos = 0
@@ -219,7 +221,7 @@ class Simulation:
                 flight_yaw_deg=nose,
             )
         )
-        return path.as_uri()
+        return self._file_url(path)
 
 
 def _next_number(output: Path | None) -> int:

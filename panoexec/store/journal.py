@@ -120,6 +120,11 @@ class SqliteJournal:
         """
         await self._run(lambda: self._write(events))
 
+    async def last_seq(self) -> int:
+        """Number of the last event; 0 without one."""
+        last = await self._run(lambda: self._connection.execute("SELECT MAX(seq) FROM events").fetchone())
+        return int(last[0] or 0)
+
     async def events(self) -> list[Event]:
         """All events, in order.
 

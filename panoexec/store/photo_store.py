@@ -5,7 +5,8 @@ fetched after landing, the import of a card. A file appears below `images/` at o
 follows it in the journal. A process that is killed between the two leaves a file without an event: the same photo
 stored again finds it and adds the event.
 
-Copying and hashing run in one thread at low priority, beside the event loop.
+Copying and hashing run in one thread beside the event loop; both leave the interpreter to others meanwhile. The thread
+has no lower priority: one that is not scheduled while it holds the interpreter would stop the event loop.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ import contextlib
 import hashlib
 import os
 import re
-import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -36,7 +36,6 @@ PhotoSource: TypeAlias = Literal["gphoto2", "http", "mavftp", "local", "import"]
 
 _FOLDER: Final = "images"
 _CHUNK_BYTES: Final = 1 << 20
-_NICENESS: Final = 10
 _ODD = re.compile(r"[^A-Za-z0-9._ +()-]|^[.]+")
 
 
@@ -73,7 +72,7 @@ class PhotoStore:
         self._folder = folder
         self._record = record
         self._emit = emit
-        self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="photos", initializer=lower_priority)
+        self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="photos")
 
     def close(self) -> None:
         """End the thread after its current file."""
@@ -173,12 +172,6 @@ def hash_file(path: Path) -> tuple[int, str]:
     return size, digest.hexdigest()
 
 
-def lower_priority() -> None:
-    """Give this thread a lower priority than the rest of the process (Linux has priorities by thread)."""
-    with contextlib.suppress(OSError, AttributeError):
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
-
-
 def _file_name(name: str, shot: int, attempt: int) -> str:
     """The last part of a name that a camera told, with characters that every file system takes."""
     base = PurePosixPath(name.replace("\\", "/")).name
@@ -209,7 +202,7 @@ class _Work:
         written = self._under_a_free_name(images)
         if self.how == "move" and isinstance(self.content, Path):
             with contextlib.suppress(OSError):  # a card that is write-protected: the photo is safe in both places
-                self.content.unlink()
+                self.content.unlink(missing_ok=True)
         return written
 
     def _under_a_free_name(self, images: Path) -> _Written:
@@ -230,6 +223,12 @@ class _Work:
                 os.link(self.content, target)
                 to_disk(target.parent)
                 return written
+        if self.how == "move" and isinstance(self.content, Path) and _same_device(self.content, target.parent):
+            written = self._examined(self.content, target.name)
+            to_disk(self.content)
+            self.content.replace(target)
+            to_disk(target.parent)
+            return written
         out: list[_Written] = []
 
         def write(path: Path) -> None:
@@ -291,6 +290,10 @@ class _Work:
 
     def _shown(self, name: str = "") -> str:
         return str(self.content) if isinstance(self.content, Path) else name or self.names[0]
+
+
+def _same_device(path: Path, folder: Path) -> bool:
+    return path.stat().st_dev == folder.stat().st_dev
 
 
 def _unusable(error: OSError, path: Path) -> UsageError:

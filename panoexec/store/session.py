@@ -25,7 +25,7 @@ from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.log.states import FINISHED
 from panoexec.mission.measured_certificate import ThreadedVerifier
 from panoexec.mission.pilot_messages import PilotMessage, PilotMessenger
-from panoexec.mission.protocols import Journal
+from panoexec.mission.protocols import Journal, PhotoFetcher
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.waiting import first_failure
 from panoexec.planning.model import Plan
@@ -34,6 +34,7 @@ from panoexec.store.directory import MissionDirectory, new_mission_directory
 from panoexec.store.journal import DamagedJournalError, SqliteJournal, load_journal
 from panoexec.store.journal_layout import MISSION_ID, NUMBER, WRITTEN_BY
 from panoexec.store.manifest import ManifestWriter
+from panoexec.store.photo_collector import PhotoCollector
 from panoexec.store.photo_store import PhotoStore
 
 
@@ -176,10 +177,12 @@ class MissionSession:
         manifest: ManifestWriter,
         messenger: PilotMessenger,
         photos: PhotoStore,
+        collector: PhotoCollector,
     ) -> None:
         self.stored = stored
         self.mission = mission
         self.photos = photos
+        self._collector = collector
         self._manifest = manifest
         self._messenger = messenger
 
@@ -195,6 +198,7 @@ class MissionSession:
         vehicle: Mapping[str, Any],
         reference: Literal["north", "heading"] = "north",
         settings: MissionSettings | None = None,
+        fetchers: Sequence[PhotoFetcher] = (),
     ) -> AsyncIterator[Self]:
         """Open a session; the journal is closed when the block ends.
 
@@ -206,6 +210,7 @@ class MissionSession:
             vehicle: the manifest's data on the vehicle, as JSON.
             reference: for a new mission, the reference of the plan's yaw 0.
             settings: replace the stored ones.
+            fetchers: ways to bring the camera's files into the mission directory while the mission flies.
         """
         sinks: list[EventSink] = []
         try:
@@ -233,10 +238,19 @@ class MissionSession:
                 battery=lambda: devices.vehicle.status.battery_frac,
             )
             messenger = PilotMessenger(vehicle=devices.vehicle, record=mission.record)
-            sinks += [writer, messenger]
-            photos = PhotoStore(stored.directory.path, record=mission.record, emit=mission.note)
+            folder = stored.directory.path
+            photos = PhotoStore(folder, record=mission.record, emit=mission.note)
+            collector = PhotoCollector(folder, record=mission.record, store=photos, fetchers=fetchers)
+            sinks += [writer, messenger, collector]
             with closing(photos):
-                yield cls(stored=stored, mission=mission, manifest=writer, messenger=messenger, photos=photos)
+                yield cls(
+                    stored=stored,
+                    mission=mission,
+                    manifest=writer,
+                    messenger=messenger,
+                    photos=photos,
+                    collector=collector,
+                )
         finally:
             await stored.journal.close()
 
@@ -252,6 +266,7 @@ class MissionSession:
                 beside = [
                     group.create_task(self._manifest.run(), name="manifest"),
                     group.create_task(self._messenger.run(), name="pilot messages"),
+                    group.create_task(self._collector.run(), name="photos"),
                 ]
                 record = await self.mission.run()
                 for task in beside:

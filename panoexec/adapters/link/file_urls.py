@@ -1,9 +1,10 @@
 """Which files a camera may name: those below configured folders, and those of configured hosts.
 
 CAMERA_IMAGE_CAPTURED (263) names the photo's file by a URL. Whoever can send a message to the link could name any file
-of this computer, which would then prove a photo. So a URL is kept only where the configuration expects photos; of
-others nothing but the name of an image file is kept, which tells the photo on the camera's card. Nothing is opened
-here. A path without a scheme is a name on the card and never a file of this computer.
+of this computer, which would then prove a photo, or have it ask any host. So a URL is kept only where the
+configuration expects photos, or where the camera itself serves them over MAVLink (MAVLink FTP); of others nothing but
+the name of an image file is kept, which tells the photo on the camera's card. Nothing is opened here. A path without a
+scheme is a name on the card and never a file of this computer.
 """
 
 from __future__ import annotations
@@ -28,6 +29,10 @@ _IMAGES: Final = frozenset(
 )
 _LOCAL: Final = frozenset({"", "localhost"})
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:", re.ASCII)
+
+_MAVLINK_FTP: Final = re.compile(
+    r"(?:mftp|mavlinkftp|ftp)://(?:\[?;comp=(?P<component>\d{1,3})\]?)?(?P<path>/.+)", re.ASCII | re.IGNORECASE
+)
 
 _ODD: Final = "it has characters that no file name has"
 
@@ -75,13 +80,20 @@ class FileUrls:
         """
         if not url.isprintable():
             return "", _ODD
+        if mavlink_ftp_path(url):
+            return url.replace("[;", ";", 1).replace(
+                "]/", "/", 1
+            ), ""  # brackets are for IPv6 addresses in all other URLs
         if _SCHEME.match(url) is None or _is_drive(url):
             return url, ""
         try:
             parts = urlsplit(url)
-            why = self._objection(parts)
         except ValueError:
             return "", "it is not a URL"
+        return self._kept(url, parts)
+
+    def _kept(self, url: str, parts: SplitResult) -> tuple[str, str]:
+        why = self._objection(parts)
         name = PurePosixPath(unquote(parts.path).replace("\\", "/")).name
         if not why:
             return url, ""
@@ -105,6 +117,29 @@ class FileUrls:
         except (OSError, ValueError, RuntimeError):
             return False
         return any(real != folder and real.is_relative_to(folder) for folder in self._folders)
+
+
+def mavlink_ftp_path(url: str) -> str:
+    """The path of a file that the camera itself serves by MAVLink FTP; "" if the URL is not one of those.
+
+    Args:
+        url: `mftp://[;comp=100]/DCIM/1.JPG` as MAVLink writes it, the component may be missing; or with `mavlinkftp`,
+            or with `ftp` and no host.
+    """
+    found = _MAVLINK_FTP.fullmatch(url)
+    path = "" if found is None else unquote(found["path"])
+    return path if path.isprintable() and not path.endswith("/") else ""
+
+
+def mavlink_ftp_component(url: str) -> int | None:
+    """The component that a URL of MAVLink FTP names; None if it names none."""
+    found = _MAVLINK_FTP.fullmatch(url)
+    return int(found["component"]) if found is not None and found["component"] else None
+
+
+def _without_brackets(url: str) -> str:
+    """A URL of MAVLink FTP that can be split like others, in which brackets are for IPv6 addresses."""
+    return url.replace("[;", ";", 1).replace("]/", "/", 1)
 
 
 def _is_drive(url: str) -> bool:

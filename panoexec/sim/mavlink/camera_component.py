@@ -13,6 +13,7 @@ from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import Faults
 from panoexec.sim.mavlink.component import NAN, Command, Component, bitmask, command_of, padded
 from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.mavlink.ftp_server import FtpServer
 from panoexec.sim.mavlink.gimbal_component import GimbalComponent
 from panoexec.sim.mavlink.wire import Link, Message, Sender
 from panoexec.sim.physics.camera import CameraModel, Exposure, GimbalState, Refusal
@@ -132,6 +133,9 @@ class CameraComponent:
         self._component = Component(
             timeline=timeline, sender=Sender(config.system_id, component), link=link, heartbeat=self._heartbeat
         )
+        self._ftp: FtpServer | None = None
+        if config.camera.files == "mftp" and config.output is not None:
+            self._ftp = FtpServer(config.output, self._component, system_id=config.system_id, component_id=component)
         self._component.builders.update(
             {
                 mavlink.MAVLINK_MSG_ID_CAMERA_INFORMATION: self._information,
@@ -170,6 +174,8 @@ class CameraComponent:
             lost = self._timeline.now_s - self._fix_s > _POSITION_LOST_S
             if lost and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
                 self._ask_for_position()
+        elif kind == "FILE_TRANSFER_PROTOCOL" and self._ftp is not None:
+            self._ftp.receive(message)
         elif self._component.is_addressed(message) and (command := command_of(message)) is not None:
             result = self._command(command)
             if result is not None:

@@ -21,7 +21,7 @@ ROWS = {
 def test_every_number_is_documented_with_its_default() -> None:
     numbers = settings.names(SimConfig())
     documented = {name: row[0] for name, row in ROWS.items() if "." in name}
-    expected = {n: str(v).lower() if isinstance(v, bool) else f"{v:.9g}" for n, v in numbers.items()}
+    expected = {n: str(v).lower() if isinstance(v, bool | str) else f"{v:.9g}" for n, v in numbers.items()}
     assert documented == expected
     assert all(row[1] for name, row in ROWS.items() if "." in name)
 

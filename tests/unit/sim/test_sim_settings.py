@@ -28,13 +28,16 @@ def test_configuration_round_trips_through_json() -> None:
     assert settings.from_json(json.loads(json.dumps(settings.to_json(SimConfig())))) == SimConfig()
 
 
-def test_every_number_can_be_set_by_its_name() -> None:
+def test_every_number_and_choice_can_be_set_by_its_name() -> None:
     names = settings.names(SimConfig())
     assert {"gimbal.yaw.rate_deg_s", "camera.exposure_s", "airframe.gps_wander_m", "gimbal.pitch.noise_deg"} <= set(
         names
     )
     for name, value in names.items():
-        other = not value if isinstance(value, bool) else value + 1
+        if isinstance(value, str):
+            other: float | str = {"camera.files": "http"}[name]
+        else:
+            other = not value if isinstance(value, bool) else value + 1
         changed = settings.changed(SimConfig(), [f"{name}={str(other).lower()}"])
         assert settings.names(changed) == {**names, name: other}
 
@@ -49,6 +52,7 @@ def test_every_number_can_be_set_by_its_name() -> None:
         ("gimbal.yaw.noise_deg=-1", "a number of at least 0"),
         ("gimbal.pitch.min_deg=low", "a finite number"),
         ("gimbal.yaw_endless=perhaps", "true or false"),
+        ("camera.files=ftp", "folder or http or mftp"),
     ],
 )
 def test_a_number_that_makes_no_sense_is_refused(assignment: str, complaint: str) -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from panoexec.adapters.link.file_urls import FileUrls
+from panoexec.adapters.link.file_urls import FileUrls, mavlink_ftp_component, mavlink_ftp_path
 from panoexec.adapters.link.message_hub import MavMessage
 from panoexec.inputs.config import Config
 
@@ -36,6 +36,29 @@ def test_files_below_a_folder_and_of_a_host_are_kept(photos: Path) -> None:
         assert urls.checked(url) == (url, ""), url
 
 
+@pytest.mark.parametrize(
+    ("url", "path", "component", "kept"),
+    [
+        ("mftp://[;comp=100]/DCIM/1.JPG", "/DCIM/1.JPG", 100, "mftp://;comp=100/DCIM/1.JPG"),
+        ("mftp:///DCIM/a%20b.jpg", "/DCIM/a b.jpg", None, "mftp:///DCIM/a%20b.jpg"),
+        ("mavlinkftp:///1.jpg", "/1.jpg", None, "mavlinkftp:///1.jpg"),
+        ("FTP:///fs/1.jpg", "/fs/1.jpg", None, "FTP:///fs/1.jpg"),
+    ],
+)
+def test_files_that_the_camera_serves_by_mavlink_are_kept(
+    url: str, path: str, component: int | None, kept: str
+) -> None:
+    assert (mavlink_ftp_path(url), mavlink_ftp_component(url)) == (path, component)
+    assert FileUrls().checked(url) == (kept, "")
+    assert (mavlink_ftp_path(kept), mavlink_ftp_component(kept)) == (path, component)
+
+
+@pytest.mark.parametrize("url", ["ftp://host/1.jpg", "mftp://host/1.jpg", "mftp:///DCIM/", "mftp:///%00/1.jpg", ""])
+def test_other_files_are_not_asked_of_the_camera(url: str) -> None:
+    assert not mavlink_ftp_path(url)
+    assert FileUrls().checked(url)[0] in {"", "1.jpg"}
+
+
 @pytest.mark.parametrize("name", ["", "IMG_1.jpg", "/DCIM/100MEDIA/DJI_0042.JPG", "DCIM/1.ARW", "C:\\DCIM\\1.JPG"])
 def test_a_name_on_the_card_is_no_file_of_this_computer(name: str) -> None:
     assert FileUrls().checked(name) == (name, "")
@@ -58,7 +81,7 @@ def test_a_name_on_the_card_is_no_file_of_this_computer(name: str) -> None:
         ("http://camera@stranger/1.jpg", "1.jpg"),
         ("http://camera.stranger/1.jpg", "1.jpg"),
         ("http://[::1/1.jpg", ""),
-        ("mftp:///fs/1.jpg", "1.jpg"),
+        ("sftp://elsewhere/fs/1.jpg", "1.jpg"),
         ("javascript:alert(1)", ""),
         ("http://camera/\n1.jpg", ""),
     ],

@@ -1,0 +1,1 @@
+"""The files of cameras, brought to this computer: by HTTP, by MAVLink FTP."""
