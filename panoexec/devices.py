@@ -229,6 +229,11 @@ class AttitudeFeed(Protocol):
         """All ingested samples that arrived after `received_s`, oldest first; at least the last 60 s are kept."""
         ...
 
+    @property
+    def late_s(self) -> float:
+        """By how much longer reports are under way than at best so far, by their time stamps; seconds, 0 if unknown."""
+        ...
+
     async def newer_than(self, received_s: float) -> AttitudeSample:
         """The first sample that arrives after `received_s`; has no timeout of its own."""
         ...

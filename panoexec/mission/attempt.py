@@ -92,6 +92,8 @@ class Shooter:
     _pointed: tuple[float, float] | None = field(default=None, init=False)
     _warned_interval_s: float = field(default=0.0, init=False)
     _last_interval_s: float = field(default=0.0, init=False)
+    _late_before_s: float = field(default=0.0, init=False)
+    _late_at_slew_s: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
         """Begin to read the attitude stream."""
@@ -120,7 +122,7 @@ class Shooter:
             coming_yaw_deg: yaws of the following shots.
         """
         expected_s = self._expected_slew_s(shot)
-        commanded_s = self.clock.monotonic()
+        commanded_s, self._late_before_s = self.clock.monotonic(), self.gimbal.feed.late_s
         device = "vehicle"
         try:
             expected_s = max(expected_s, await self._turn([shot.yaw_deg, *coming_yaw_deg]))
@@ -173,12 +175,17 @@ class Shooter:
         if self.echo.reason:
             return NotSettled(code="echo", reason=f"the gimbal's reports are no feedback: {self.echo.reason}")
         if self.echo.delay_s > OLDEST_REPORT_S:
-            return NotSettled(
-                code="not_settled",
-                reason=f"the gimbal's reports show a slew {self.echo.delay_s:.1f} s after its command: no exposure can"
-                " be verified by them; check the link and the gimbal's rate",
-            )
-        return None
+            shown = f"the gimbal's reports show a slew {self.echo.delay_s:.1f} s after its command"
+        elif self._grown_s > OLDEST_REPORT_S:
+            shown = f"the gimbal's reports are {self._grown_s:.1f} s later than they were at the last slew"
+        else:
+            return None
+        return NotSettled(code="stale", reason=f"{shown}: no exposure can be verified by them")
+
+    @property
+    def _grown_s(self) -> float:
+        """By how much the gimbal's reports became older since a slew last showed their age."""
+        return max(0.0, self.gimbal.feed.late_s - self._late_at_slew_s)
 
     def _not_settled(self, tracker: SettleTracker, bound_s: float) -> NotSettled:
         why = tracker.problem
@@ -198,13 +205,15 @@ class Shooter:
         """
         readings = self.poses.since(commanded_s - BEFORE_SLEW_S)
         yaw_deg = shot.yaw_deg
-        self.echo.slew(
+        shows_age = self.echo.slew(
             readings,
             commanded_s=commanded_s,
             pitch_deg=shot.pitch_deg,
             yaw_deg=yaw_deg,
             yaw_follows=self._vehicle_pans,
         )
+        if shows_age:
+            self._late_at_slew_s = self._late_before_s
         if settled:
             self.steady_error.settled()
             self.foreign.settled()
@@ -224,7 +233,8 @@ class Shooter:
         """
         delay_s = self.echo.longest_delay_s
         if math.isnan(delay_s):
-            return HELD_REPORT_S
+            return min(HELD_REPORT_S + self._grown_s, OLDEST_REPORT_S)
+        delay_s += self._grown_s
         if self.poses.holds:
             return min(delay_s + HELD_MARGIN_S, OLDEST_REPORT_S)
         return min(delay_s + REPORT_MARGIN_S, OLDEST_REPORT_S) if delay_s > FRESH_REPORT_S else 0.0

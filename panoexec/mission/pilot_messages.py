@@ -43,6 +43,7 @@ PAUSE_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
         "photos": "no proof of any photo",
         "gimbal": "gimbal refuses each pose",
         "offset": "gimbal off its target each time",
+        "reports": "gimbal reports too old",
         "command": "by command",
     }
 )

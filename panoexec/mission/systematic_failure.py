@@ -2,7 +2,8 @@
 
 A camera in video mode refuses each trigger, and a gimbal whose north is off misses each target by the same angle. More
 attempts change nothing: the mission pauses with the cause. Gusts, drifts and single refusals differ from attempt to
-attempt and from shot to shot; any attempt that ends otherwise begins the count anew. Pure logic.
+attempt and from shot to shot; any attempt that ends otherwise begins the count anew. A gimbal that is stuck, or whose
+reports are in another convention, misses each target by another angle, but by much: that is systematic too. Pure logic.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
+from panoexec.angles import wrap_180
 from panoexec.mission.attempt_result import Offset
 from panoexec.mission.guards import Finding
 from panoexec.planning.model import Shot, Tolerance
@@ -24,6 +26,8 @@ FOREIGN_ATTEMPTS: Final = 2
 """The same for another station that points the gimbal, which is no matter of chance."""
 SPREAD_FRAC: Final = 0.25
 """How far offsets may differ, as a fraction of their size, or by τ if that is more."""
+ELSEWHERE_DEG: Final = 5.0
+"""A pose that is farther from its target than this has nothing to do with it."""
 APART_DEG: Final = 10.0
 """Where the vehicle pans, its heading has a steady error in wind that depends on the heading: the shots must be at
 headings this far apart."""
@@ -35,12 +39,16 @@ _ADVICE: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
         "late_exposure": ("photos", "check the camera's delay ([camera] latency_s) and its shortest interval"),
         "gimbal": ("gimbal", "check the gimbal (mode, limits, who controls it)"),
         "foreign": ("foreign", "let no other station point it (DO_MOUNT_CONTROL, ROI, a gimbal page)"),
+        "stale": ("reports", "check the link's load and the gimbal's message rate"),
         "vehicle": ("turn_refused", "check the flight mode and whether the vehicle can turn"),
     }
 )
 """For each code of a rejected attempt that may be systematic: code of the hold, and what to do."""
 HOLD_CODES: Final = frozenset({"offset", *(hold for hold, _ in _ADVICE.values())})
 """Codes of the holds."""
+_ELSEWHERE_ADVICE: Final = (
+    "check that the gimbal obeys (mode, lock, limits of its angles) and in which frame and convention it reports"
+)
 _OFFSET_ADVICE: Final = "calibrate the gimbal or its compass, or widen [pointing] tolerance_*_deg"
 
 
@@ -53,12 +61,19 @@ def _beyond(offset: Offset, tolerance: Tolerance) -> tuple[str, ...]:
 
 
 def _alike(offset: Offset, other: Offset, tolerance: Tolerance) -> bool:
-    """Whether both exceed the tolerance about the same axes, with the same sign and about the same size."""
-    return _beyond(offset, tolerance) == _beyond(other, tolerance) and all(
-        abs(getattr(offset, axis) - getattr(other, axis))
+    """Whether both exceed the tolerance about the same axes, in the same direction and by about the same size."""
+    if set(_beyond(offset, tolerance)) != set(_beyond(other, tolerance)):
+        return False
+    return all(
+        abs(float(wrap_180(getattr(offset, axis) - getattr(other, axis))))
         <= max(getattr(tolerance, axis), SPREAD_FRAC * abs(getattr(other, axis)))
         for axis in _AXES
     )
+
+
+def _is_elsewhere(offset: Offset, tolerance: Tolerance) -> bool:
+    """Whether a pose is so far from the target that neither sway nor a bad calibration explains it."""
+    return any(abs(getattr(offset, axis)) > max(ELSEWHERE_DEG, 2 * getattr(tolerance, axis)) for axis in _AXES)
 
 
 class SystematicFailure:
@@ -76,16 +91,18 @@ class SystematicFailure:
         self._offset: Offset | None = None
         self._attempts = 0
         self._shots: dict[int, float] = {}
+        self._elsewhere: dict[int, int] = {}
 
     @property
     def shots(self) -> tuple[int, ...]:
         """The shots of the run, in the order of their first failure."""
-        return tuple(self._shots)
+        return tuple(dict.fromkeys([*self._elsewhere, *self._shots]))
 
     def reset(self) -> None:
         """An attempt ended otherwise, or the operator has resumed the mission."""
         self._cause, self._offset, self._attempts = None, None, 0
         self._shots.clear()
+        self._elsewhere.clear()
 
     def rejected(self, shot: Shot, *, code: str, reason: str, offset: Offset | None = None) -> Finding | None:
         """Take a rejected attempt; returns why the mission must pause once the run is long enough.
@@ -97,22 +114,43 @@ class SystematicFailure:
             offset: the pointing error, for rejections by the pose; None where it is unknown.
         """
         by_pose = code in {"not_settled", "pointing"}
-        if (by_pose and (offset is None or not _beyond(offset, self._tolerance))) or not (by_pose or code in _ADVICE):
+        if by_pose and offset is None:
+            return None  # no pose is known: neither alike nor otherwise
+        if (offset is not None and by_pose and not _beyond(offset, self._tolerance)) or not (
+            by_pose or code in _ADVICE
+        ):
             self.reset()
             return None
+        elsewhere = code != "stale" and self._count_elsewhere(shot, offset if by_pose else None)
         cause = ("offset", "") if by_pose else (code, re.sub(r"[-+]?\d+(\.\d+)?", "#", reason))
         same = cause == self._cause
         if same and offset is not None and self._offset is not None:
             same = _alike(offset, self._offset, self._tolerance)
         if not same:
-            self.reset()
-            self._cause, self._offset = cause, offset
+            self._cause, self._offset, self._attempts = cause, offset, 0
+            self._shots.clear()
         self._attempts += 1
         self._shots.setdefault(shot.index, shot.yaw_deg)
         enough = self._attempts >= FOREIGN_ATTEMPTS if code == "foreign" else self._attempts >= ATTEMPTS
         if not enough or (code != "foreign" and self._different_shots() < SHOTS):
-            return None
+            return self._elsewhere_finding(reason) if elsewhere else None
         return self._finding(code, reason)
+
+    def _count_elsewhere(self, shot: Shot, offset: Offset | None) -> bool:
+        """Whether so many poses in a row had nothing to do with their targets, however they differ."""
+        if offset is None or not _is_elsewhere(offset, self._tolerance):
+            self._elsewhere.clear()
+            return False
+        self._elsewhere[shot.index] = self._elsewhere.get(shot.index, 0) + 1
+        return sum(self._elsewhere.values()) >= ATTEMPTS and len(self._elsewhere) >= SHOTS
+
+    def _elsewhere_finding(self, reason: str) -> Finding:
+        attempts, shots = sum(self._elsewhere.values()), len(self._elsewhere)
+        text = (
+            f"the gimbal does not come near its targets by its reports, at {shots} shots in a row ({attempts} attempts;"
+            f" the last one {reason})"
+        )
+        return Finding(code="offset", reason=f"{text}; {_ELSEWHERE_ADVICE}, then resume", automatic=False, retry=True)
 
     def _different_shots(self) -> int:
         if not (self._vehicle_pans and self._cause == ("offset", "")):

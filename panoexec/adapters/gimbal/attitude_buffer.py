@@ -44,6 +44,8 @@ class AttitudeBuffer:
         self._source_s = -math.inf
         self._pinned: int | None = None
         self._waiters: list[asyncio.Future[None]] = []
+        self.late_s = 0.0
+        """See `AttitudeFeed.late_s`."""
 
     @property
     def source_component(self) -> int | None:

@@ -20,6 +20,8 @@ _STEP_S: Final = 1.0
 """A stamp that is further from what the one before says is not of this moment."""
 _RATE_FRAC: Final = 0.2
 """Clocks may run at rates that differ by so much (a simulation that cannot keep up)."""
+_BIN_S: Final = 0.3
+_DRIFT_FRAC: Final = 0.06
 _STEP_RUN: Final = 3
 """So many messages in a row that agree with each other, but not with those before, show that the clock was set."""
 
@@ -60,6 +62,47 @@ class StampCheck:
 def _continues(before: tuple[float, float], now: tuple[float, float]) -> bool:
     elapsed_s = now[1] - before[1]
     return abs(now[0] - before[0] - elapsed_s) <= _STEP_S + _RATE_FRAC * abs(elapsed_s)
+
+
+class Backlog:
+    """By how much longer the messages of one stream are under way than they were, as their time stamps tell.
+
+    A stream that is held up goes on where it stopped: its stamps run on, each message a fixed time late. No single
+    message shows that, and it does not pass by itself. A clock of another rate lags by at most `_DRIFT_FRAC`; a
+    simulation that cannot keep up looks like a backlog. Fed in the order of arrival.
+    """
+
+    def __init__(self) -> None:
+        self.late_s = 0.0
+        """Seconds; 0 if the stream never was earlier than now."""
+        self._began_s = self._least_s = math.nan
+        self._before: tuple[float, float] | None = None
+        self._newest_stamp_s = -math.inf
+
+    def note(self, stamp_s: float, received_s: float) -> None:
+        """Take the next message.
+
+        Args:
+            stamp_s: the sender's boot time; NaN or 0 if it does not stamp.
+            received_s: when it arrived.
+        """
+        if math.isnan(stamp_s) or stamp_s == 0:
+            return
+        if stamp_s < self._newest_stamp_s - _STEP_S:  # the sender's clock was set back: nothing held these up
+            self._before, self._began_s = None, math.nan
+        self._newest_stamp_s = stamp_s
+        delay_s = received_s - stamp_s
+        if math.isnan(self._began_s):
+            self._began_s, self._least_s = received_s, delay_s
+        self._least_s = min(self._least_s, delay_s)  # the fastest of some: the others met this computer's jitter
+        if received_s - self._began_s < _BIN_S:
+            return
+        if self._before is not None:
+            grown_s = self._least_s - self._before[1]
+            drift_s = _DRIFT_FRAC * (received_s - self._before[0])
+            self.late_s = max(0.0, self.late_s + math.copysign(max(0.0, abs(grown_s) - drift_s), grown_s))
+        self._before = received_s, self._least_s
+        self._began_s, self._least_s = received_s, delay_s
 
 
 class StampDejitter:

@@ -18,7 +18,7 @@ from panoexec.adapters.gimbal.attitude_messages import (
     vehicle_attitude,
     yaw_frame,
 )
-from panoexec.adapters.gimbal.dejitter import StampCheck, StampDejitter
+from panoexec.adapters.gimbal.dejitter import Backlog, StampCheck, StampDejitter
 from panoexec.adapters.gimbal.gimbal_choice import FIRST_COMPONENT_ID, is_gimbal, source_for
 from panoexec.adapters.gimbal.heading_filter import HeadingFilter
 from panoexec.adapters.link.batching import MessageBatcher
@@ -72,6 +72,7 @@ class GimbalReports:
         self.device_id: int | None = None
         self._heading = HeadingFilter()
         self._stamps: dict[tuple[int, str], tuple[StampCheck, StampDejitter]] = {}
+        self._backlogs: dict[int, Backlog] = {}
         self._heard: dict[int, float] = {}
         self._sample_s = -math.inf
         self._times: deque[float] = deque(maxlen=_RATED)
@@ -223,6 +224,10 @@ class GimbalReports:
         stamp_s = number(message.fields["time_boot_ms"]) / 1000.0
         if not check.fits(stamp_s, message.received_s):
             return None
+        if message.name == _REPORT:
+            backlog = self._backlogs.setdefault(message.component_id, Backlog())
+            backlog.note(stamp_s, message.received_s)
+            self.buffer.late_s = backlog.late_s
         return dejitter.sent_s(stamp_s, message.received_s)
 
     def _source_changed(self, component: int, stated: YawFrame, used: YawFrame, tells_heading: bool) -> None:

@@ -21,6 +21,8 @@ _REFUSED_RETRY_S: Final = 30.0
 _BOOT_BACK_S: Final = 1.0
 _FUTURE_S: Final = 5.0
 _FUTURE_KEPT_S: Final = 1.0
+_HELD_UP_S: Final = 1.5
+"""Messages that lag behind the others for so long, while none is as new as those before, are of a rebooted sender."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,13 +68,17 @@ class RebootDetector:
         self._heard_s = math.inf
         self._received_s = -math.inf
         self._future_since_s = math.nan
+        self._streams: dict[str, float] = {}
+        self._ahead_s = -math.inf
 
-    def note(self, boot_s: float, heard_s: float, received_s: float | None = None) -> bool:
+    def note(self, boot_s: float, heard_s: float, received_s: float | None = None, *, stream: str = "") -> bool:
         """Take the time since boot of a message; True if the autopilot rebooted since the last message.
 
         Two signs: the time runs backwards by more than messages overtake each other, or the autopilot has been up for
         no longer than it was silent. The second one finds the reboot of an autopilot that had only just started: it
         forgets its message intervals, and when it is heard again it is already up for longer than before.
+
+        A stream that is held up on its way lags behind the others, but never behind itself: its own time runs on.
 
         A time from the future is dropped: the true ones that follow it would look like a reboot. Only a sender that
         keeps to it for a second, with no message of the old time between, is believed.
@@ -81,14 +87,23 @@ class RebootDetector:
             boot_s: time since boot, seconds.
             heard_s: when the message arrived, monotonic seconds.
             received_s: when it arrived, on a clock that runs as fast as the vehicle's; None: `heard_s`.
+            stream: name of the message.
         """
         if self._is_future(boot_s, heard_s, heard_s if received_s is None else received_s):
             return False
         silent_s = heard_s - self._heard_s
         self._heard_s = heard_s
-        rebooted = boot_s < self._newest_s - _BOOT_BACK_S or boot_s <= silent_s
+        rebooted = boot_s <= silent_s
+        if boot_s < self._newest_s - _BOOT_BACK_S:
+            ran_back = boot_s < self._streams.get(stream, -math.inf) - _BOOT_BACK_S
+            rebooted |= ran_back or heard_s - self._ahead_s > _HELD_UP_S
+        else:
+            self._ahead_s = heard_s
         if rebooted:
             self.reboots += 1
+            self._streams.clear()
+            self._ahead_s = heard_s
+        self._streams[stream] = boot_s
         self._newest_s = boot_s if rebooted else max(self._newest_s, boot_s)
         return rebooted
 

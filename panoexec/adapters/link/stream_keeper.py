@@ -142,5 +142,7 @@ class StreamKeeper:
         watch.note(message.heard_s)
         # a gimbal that is its own component stamps with its own boot time; 0 is a sender that does not stamp
         boot_ms = message.fields.get("time_boot_ms") if message.component_id == AUTOPILOT else None
-        if boot_ms and self.boots.note(boot_ms / 1000.0, message.heard_s, message.received_s):
+        if not boot_ms:
+            return
+        if self.boots.note(boot_ms / 1000.0, message.heard_s, message.received_s, stream=message.name):
             self._rebooted()

@@ -334,7 +334,7 @@ class ShotRejected(ShotEvent):
 
     Attributes:
         code: `not_settled`, `pointing`, `no_samples`, `trigger`, `evidence`, `late_exposure`, `gimbal`, `foreign`,
-            `vehicle`, `crash`.
+            `stale`, `vehicle`, `crash`.
         reason: for the pilot, with figures.
     """
 

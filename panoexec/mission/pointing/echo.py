@@ -99,8 +99,8 @@ class EchoWatch:
         pitch_deg: float,
         yaw_deg: float,
         yaw_follows: bool = False,
-    ) -> None:
-        """Judge one slew.
+    ) -> bool:
+        """Judge one slew; returns whether it showed the age of the reports.
 
         Args:
             readings: oldest first, from before the command until the pose was reached, or was given up.
@@ -110,31 +110,34 @@ class EchoWatch:
             yaw_follows: the vehicle's heading sets the yaw, so only the pitch shows the gimbal.
         """
         if self.reason:
-            return
+            return False
         usable = [reading for reading in readings if reading.rotation is not None]
         first = max((i for i, reading in enumerate(usable) if reading.time_s <= commanded_s), default=-1)
         usable = usable[max(first, 0) :]
         if len(usable) < 2 or first < 0:
-            return
+            return False
         times = np.array([reading.time_s for reading in usable])
         poses = np.stack([reading.rotation for reading in usable if reading.rotation is not None])
         target = rotation(yaw_deg, pitch_deg)
         to_target = _angles(poses, target)
         from_start = _angles(poses, poses[0])
-        self._note_delay(times, to_target, commanded_s)
+        shows_age = self._note_delay(times, to_target, commanded_s)
         self._note_exact(target, exact=bool(to_target[-1] <= EXACT_DEG) and not yaw_follows)
         pitches = np.degrees(np.arcsin(np.clip(-poses[:, 2, 0], -1.0, 1.0)))
         slews = [_judged(times, abs(pitches - pitches[0]), abs(pitches - pitch_deg), exact=EXACT_DEG)]
         if not yaw_follows:
             slews.append(_judged(times, from_start, to_target, exact=EXACT_DEG))
         self._count(slews)
+        return shows_age
 
-    def _note_delay(self, times: FloatArray, to_target: FloatArray, commanded_s: float) -> None:
+    def _note_delay(self, times: FloatArray, to_target: FloatArray, commanded_s: float) -> bool:
         nearer = np.flatnonzero((to_target < to_target[0] - MOVED_DEG) & (times > commanded_s))
-        if to_target[0] >= LEAST_TIMED_DEG and len(nearer):
-            travel_s = math.sqrt(2 * MOVED_DEG / STARTS_DEG_S2)
-            self._delays.append(max(float(times[nearer[0]]) - commanded_s - travel_s, 0.0))
-            del self._delays[:-_DELAYS]
+        if to_target[0] < LEAST_TIMED_DEG or not len(nearer):
+            return False
+        travel_s = math.sqrt(2 * MOVED_DEG / STARTS_DEG_S2)
+        self._delays.append(max(float(times[nearer[0]]) - commanded_s - travel_s, 0.0))
+        del self._delays[:-_DELAYS]
+        return True
 
     def _note_exact(self, target: FloatArray, *, exact: bool) -> None:
         if not exact:

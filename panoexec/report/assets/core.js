@@ -58,7 +58,7 @@ function seconds(value) {
 const plural = (count, word) => `${count} ${word}${count === 1 ? "" : "s"}`;
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 const WORDS = {
-  pointing: "pointing outside τ", no_samples: "gap in the attitude stream", not_settled: "did not settle", trigger: "camera refused", late_exposure: "exposed late",
+  pointing: "pointing outside τ", no_samples: "gap in the attitude stream", not_settled: "did not settle", stale: "reports too old", trigger: "camera refused", late_exposure: "exposed late",
   evidence: "no proof of the photo", gimbal: "gimbal refused", crash: "computer stopped", other: "other",
 };
 const words = (code) => WORDS[code] || code.replaceAll("_", " ");

@@ -73,6 +73,7 @@ class FakeFeed:
         self._samples: deque[AttitudeSample] = deque(maxlen=100_000)
         self._arrived = asyncio.Event()
         self.vehicle: deque[VehicleAttitude] = deque(maxlen=100_000)
+        self.late_s = 0.0
 
     def push(self, sample: AttitudeSample) -> None:
         self._samples.append(sample)

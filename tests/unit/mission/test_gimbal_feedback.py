@@ -147,3 +147,20 @@ def test_a_contradiction_about_north_is_told_once_and_kept(tmp_path: Path) -> No
         "north_off_deg": 60.0,
         "north_corrected": True,
     }
+
+
+def test_reports_that_fall_behind_verify_nothing_until_a_slew_shows_their_age() -> None:
+    """Their stamps tell of it before the next slew does."""
+
+    async def script(world: World, mission: Mission) -> None:
+        await until_event(world, ev.ShotAccepted)
+        await until_event(world, ev.ShotStarted)
+        await world.clock.sleep(0.05)
+        world.gimbal.feed.late_s = 5.0
+
+    world = fly(script)
+    assert world.record.state is MissionState.COMPLETE
+    rejected = world.sink.of(ev.ShotRejected)
+    assert {event.code for event in rejected} == {"stale"}
+    assert "5.0 s later than they were at the last slew: no exposure can be verified by them" in rejected[0].reason
+    assert len({event.shot for event in rejected}) == 1, "the next slew shows that they are of the moment"

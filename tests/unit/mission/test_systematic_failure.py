@@ -64,10 +64,33 @@ def test_figures_in_a_reason_do_not_matter() -> None:
 def test_an_offset_must_be_the_same_in_sign_size_and_axes() -> None:
     failures = SystematicFailure(TOLERANCE)
     assert [missed(failures, i, 60.0 + 0.3 * (-1) ** i) for i in range(8)] == [False] * 7 + [True]
-    for other in ((-60.0, 0.0), (30.0, 0.0), (60.0, 0.4), (0.4, 0.0)):  # sign, size, another axis, inside tolerance
+    for other in ((-4.0, 0.0), (2.0, 0.0), (4.0, 0.4), (0.4, 0.0)):  # sign, size, another axis, inside tolerance
         failures.reset()
-        assert not any(missed(failures, i, 60.0) for i in range(7))
+        assert not any(missed(failures, i, 4.0) for i in range(7))
         assert not missed(failures, 7, *other)
+
+
+def test_half_a_turn_to_the_left_is_half_a_turn_to_the_right() -> None:
+    failures = SystematicFailure(TOLERANCE)
+    assert [missed(failures, i, 179.9 * (-1) ** i) for i in range(8)] == [False] * 7 + [True]
+
+
+def test_poses_that_have_nothing_to_do_with_their_targets_are_systematic() -> None:
+    """A stuck gimbal, or one that reports in another convention: each error is another one, and all are large."""
+    failures = SystematicFailure(TOLERANCE)
+    found = None
+    for index, yaw_deg in enumerate((144.0, 40.0, -63.0, -166.0, 90.0, 10.0, -20.0, 33.0)):
+        assert found is None
+        offset = Offset(pitch_deg=7.0, roll_deg=-3.0, yaw_deg=yaw_deg)
+        found = failures.rejected(shot(index // 2), code="not_settled", reason="not settled", offset=offset)
+        for code in ("not_settled", "stale"):
+            assert failures.rejected(shot(index // 2), code=code, reason="the stream is silent, or late") is None
+    assert found is not None
+    assert found.code == "offset"
+    assert "does not come near its targets" in found.reason
+    assert failures.shots == (0, 1, 2, 3)
+    failures.reset()
+    assert not any(missed(failures, i, 4.9 * (-1) ** i) for i in range(30)), "sway and gusts are no cause"
 
 
 def test_a_nose_that_is_pushed_aside_at_one_heading_is_not_systematic() -> None:
@@ -165,11 +188,26 @@ def test_a_gimbal_that_is_off_by_the_same_angle_everywhere_pauses() -> None:
     assert len(world.sink.of(ev.ShotRejected)) >= ATTEMPTS
 
 
-def test_a_stuck_gimbal_misses_each_target_by_another_angle() -> None:
+def test_a_stuck_gimbal_ends_a_mission_that_has_no_photo_yet() -> None:
     settings = replace(some_settings(), attempts=1, rounds=2)
     world = fly(prepare=lambda w: setattr(w.gimbal, "stuck", True), plan=a_plan(12), settings=settings)
-    assert world.record.state is S.INCOMPLETE
-    assert not world.sink.of(ev.MissionPaused)
+    assert world.record.state is S.FAILED
+    assert "does not come near its targets" in world.record.reason
+    assert len(world.sink.of(ev.ShotRejected)) == ATTEMPTS
+
+
+def test_a_gimbal_that_gets_stuck_pauses_the_mission() -> None:
+    async def script(world: World, mission: Mission) -> None:
+        await until_event(world, ev.ShotAccepted)
+        world.gimbal.stuck = True
+        await until_event(world, ev.MissionPaused)
+        assert "does not come near its targets" in mission.record.reason
+        world.gimbal.stuck = False
+        mission.commands.resume()
+
+    world = fly(script, plan=a_plan(12))
+    assert world.record.state is S.COMPLETE
+    assert [event.code for event in world.sink.of(ev.MissionPaused)] == ["offset"]
 
 
 def test_another_station_that_points_the_gimbal_pauses_at_the_second_attempt() -> None:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from panoexec.adapters.gimbal.dejitter import StampCheck, StampDejitter
+from panoexec.adapters.gimbal.dejitter import Backlog, StampCheck, StampDejitter
 
 PERIOD_S = 0.02
 
@@ -93,3 +93,32 @@ def test_forged_stamps_that_do_not_go_on_are_never_believed() -> None:
 def test_a_slow_clock_and_a_silence_fit() -> None:
     assert all(fits(*((10 + 0.9 * t, float(t)) for t in (0, 1, 2, 30, 31))))
     assert all(fits((math.nan, 0.0), (0.0, 1.0), (math.nan, 9.0)))
+
+
+def _told(backlog: Backlog, *, seconds: range, rate: float = 1.0, late_s: float = 0.0, jitter_s: float = 0.0) -> float:
+    for tick in range(seconds.start * 50, seconds.stop * 50):
+        at_s = tick / 50
+        backlog.note(100 + rate * (at_s - late_s), at_s + (jitter_s if tick % 7 else 0.003))
+    return backlog.late_s
+
+
+def test_a_stream_that_is_held_up_shows_its_age_until_it_has_caught_up() -> None:
+    backlog = Backlog()
+    assert _told(backlog, seconds=range(10), jitter_s=0.2) == pytest.approx(0.0, abs=0.01)
+    assert _told(backlog, seconds=range(14, 40), late_s=4.0) == pytest.approx(4.0, abs=0.3)
+    assert _told(backlog, seconds=range(40, 50)) == 0.0
+
+
+@given(rate=st.floats(0.95, 1.05))
+def test_a_clock_of_another_rate_is_no_backlog(rate: float) -> None:
+    assert _told(Backlog(), seconds=range(60), rate=rate) == pytest.approx(0.0, abs=0.02)
+
+
+def test_a_clock_that_begins_anew_is_no_backlog() -> None:
+    backlog = Backlog()
+    _told(backlog, seconds=range(10))
+    _told(backlog, seconds=range(10, 20), late_s=95.0)  # its stamps begin at 15 s
+    assert backlog.late_s == 0.0
+    backlog.note(math.nan, 30.0)
+    backlog.note(0.0, 90.0)
+    assert backlog.late_s == 0.0

@@ -136,3 +136,24 @@ def test_a_gap_is_no_leap_of_the_clock(gap_s: float) -> None:
     assert not boots.note(100.0, 1000.0)
     assert not boots.note(100.0 + gap_s, 1000.0 + gap_s)
     assert boots.note(0.5, 1001.0 + gap_s)
+
+
+def test_a_stream_that_is_held_up_is_no_reboot() -> None:
+    """Reports of the gimbal come 4 s late, everything else in time; then the autopilot reboots."""
+    boots = RebootDetector()
+    for tick in range(500):
+        now_s = 0.02 * tick
+        assert not boots.note(100.0 + now_s, 1000.0 + now_s, stream="ATTITUDE")
+        if not 200 < tick <= 400:
+            sent_s = 100.0 + now_s - (4.0 if tick > 200 else 0.0)
+            assert not boots.note(sent_s, 1000.0 + now_s, stream="GIMBAL_DEVICE_ATTITUDE_STATUS")
+    assert boots.note(2.0, 1010.5, stream="ATTITUDE")
+    assert boots.reboots == 1
+
+
+def test_a_reboot_is_seen_by_messages_that_were_not_heard_before_it() -> None:
+    boots = RebootDetector()
+    assert not boots.note(100.0, 1000.0, stream="ATTITUDE")
+    assert not boots.note(3.0, 1000.5, stream="SYSTEM_TIME")
+    assert boots.note(5.0, 1002.5, stream="SYSTEM_TIME")
+    assert not boots.note(5.1, 1002.6, stream="ATTITUDE")
