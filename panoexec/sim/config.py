@@ -14,8 +14,10 @@ MountKind: TypeAlias = Literal["mavlink", "servo", "driver", "echo"]
 GimbalBeside: TypeAlias = Literal["none", "manager", "only-manager", "second", "stranger"]
 CameraKind: TypeAlias = Literal["mavlink", "servo", "px4-trigger"]
 CameraFiles: TypeAlias = Literal["folder", "http", "mftp"]
+SceneKind: TypeAlias = Literal["city", "lake", "snow", "night"]
 CameraBeside: TypeAlias = Literal["none", "streamer", "camera"]
 
+SCENE_KINDS: tuple[SceneKind, ...] = ("city", "lake", "snow", "night")
 DEFAULT_PORTS = (14540, 14550)
 """The usual UDP ports of MAVSDK and of ground stations."""
 
@@ -235,6 +237,7 @@ class SimConfig:
         camera_beside: what there is beside the camera, as component 100, which makes the camera 101: a `streamer` of
             video that takes no photos, or another `camera`; only with `camera_kind` `mavlink`.
         scene: equirectangular image to photograph; None for the procedural one.
+        scene_kind: what the procedural scene shows.
         seed: random seed.
         speedup: simulated seconds per second.
         faults: faults to inject, see `panoexec.sim.faults`.
@@ -255,6 +258,7 @@ class SimConfig:
     camera_kind: CameraKind = "mavlink"
     camera_beside: CameraBeside = "none"
     scene: Path | None = None
+    scene_kind: SceneKind = "city"
     seed: int = 1
     speedup: float = 1.0
     faults: tuple[FaultSpec, ...] = ()

@@ -12,7 +12,7 @@ from panoexec.errors import UsageError
 from panoexec.optics import Camera
 from panoexec.sim import settings
 from panoexec.sim.camera_kinds import CAMERA_KINDS, camera_kinds_text, with_camera_kind
-from panoexec.sim.config import CameraConfig, SimConfig
+from panoexec.sim.config import SCENE_KINDS, CameraConfig, SimConfig
 from panoexec.sim.faults import FAULTS, parse_fault
 from panoexec.sim.gimbal_kinds import GIMBAL_KINDS, gimbal_kinds_text, with_gimbal_kind
 
@@ -99,6 +99,12 @@ def add_vehicle_arguments(parser: argparse.ArgumentParser) -> None:
     world.add_argument(
         "--scene", type=Path, metavar="EQUIRECT.jpg", help="equirectangular image of the scene (generated)"
     )
+    world.add_argument(
+        "--scene-kind",
+        choices=SCENE_KINDS,
+        default="city",
+        help="what the generated scene shows: little texture on a lake, in snow, at night (city)",
+    )
     world.add_argument("--seed", type=int, default=1, metavar="N", help="random seed (1)")
     world.add_argument(
         "--speedup", type=float, default=1.0, metavar="N", help="speed-up: simulated seconds per second (1)"
@@ -139,6 +145,7 @@ def config_of(args: argparse.Namespace, camera: CameraConfig | None = None) -> S
         mount=args.mount,
         camera_kind=args.trigger,
         scene=args.scene,
+        scene_kind=args.scene_kind,
         seed=args.seed,
         speedup=checked_speedup(args.speedup),
         faults=tuple(parse_fault(text) for text in args.fault),

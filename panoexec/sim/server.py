@@ -189,6 +189,7 @@ class Server:
             await self._stop.wait()
             turning.cancel()
             linking.cancel()
+            simulation.flush_photos()
             if darkroom is not None and developing is not None:
                 await self._finish_photos(darkroom)
                 developing.cancel()
@@ -361,7 +362,13 @@ async def _darkroom(config: SimConfig) -> AsyncIterator[Darkroom | None]:
         yield None
         return
     camera = config.camera
-    darkroom = Darkroom(camera.optics, camera.render_width_px, scene=config.scene, seed=config.seed)
+    darkroom = Darkroom(
+        camera.optics,
+        camera.render_width_px,
+        scene=config.scene,
+        seed=config.seed,
+        scene_kind=config.scene_kind,
+    )
     await darkroom.start()
     try:
         yield darkroom

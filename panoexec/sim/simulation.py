@@ -17,6 +17,7 @@ from panoexec.sim.mavlink.trigger import CameraTrigger
 from panoexec.sim.mavlink.vehicle import THIEF, Vehicle
 from panoexec.sim.mavlink.wire import Link, LocalLink, Receiver
 from panoexec.sim.photos.darkroom import ExposedPhoto
+from panoexec.sim.photos.mixer import PhotoMixer
 from panoexec.sim.physics.airframe import Airframe
 from panoexec.sim.physics.camera import Exposure
 from panoexec.sim.physics.gimbal import GimbalPhysics, quaternion
@@ -57,8 +58,9 @@ class Simulation:
         self.physics = GimbalPhysics(config.gimbal, seed=config.seed, step_s=config.step_s)
         self.airframe = Airframe(config.airframe, seed=config.seed)
         self.vehicle: Vehicle | None = None
-        self._to_darkroom = develop
         self._file_url = file_url
+        self._mixer = PhotoMixer(self.faults, develop or (lambda _: None))
+        self._renders = develop is not None
         self._truth = truth
         self._steps = 0
         self._photos = 0
@@ -127,6 +129,10 @@ class Simulation:
         """Exposures made so far."""
         return self._photos
 
+    def flush_photos(self) -> None:
+        """Have photos rendered that wait for a later one (fault `photo-swapped`)."""
+        self._mixer.flush()
+
     def _heading(self) -> float:
         """The vehicle's heading as its autopilot estimates it."""
         if self.vehicle is not None:
@@ -188,6 +194,8 @@ class Simulation:
         self._photos += 1
         # not by the index, which a camera that restarts uses twice
         name = f"IMG_{self._first_number + self._photos - 1:05d}.jpg"
+        exposure = self._mixer.turned(exposure)
+        spoiled = self._mixer.names()
         nose = self.physics.nose_deg
         self._truth.write(
             "exposure",
@@ -203,12 +211,13 @@ class Simulation:
                 "vehicle_heading_deg": nose,
                 "target": asdict(self.physics.target),
                 "wind_m_s": self.physics.wind_m_s,
-            },
+            }
+            | ({"faults": spoiled} if spoiled else {}),
         )
-        if output is None or self._to_darkroom is None:
+        if output is None or not self._renders:
             return name
         path = output.absolute() / name
-        self._to_darkroom(
+        self._mixer.develop(
             ExposedPhoto(
                 path=str(path),
                 truth_deg=tuple((a.yaw_deg, a.roll_deg, a.pitch_deg) for a in exposure.truth),

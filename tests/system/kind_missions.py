@@ -54,6 +54,18 @@ FAULT_ENDS: Final[Mapping[str, str]] = {
     "clock-jump=4": "complete",
 }
 """How a mission with the usual camera and gimbal ends under each fault."""
+CONTENT_FAULT_ENDS: Final[Mapping[str, str]] = {
+    "photo-black=#2": "complete",
+    "photo-dark=#2": "complete",
+    "photo-blur=#2": "complete",
+    "photo-defocus=#2": "complete",
+    "photo-truncated=#2": "complete",
+    "photo-damaged=#2": "complete",
+    "photo-swapped=#2": "complete",
+    "photo-stale=#2": "complete",
+    "attitude-lie=#2": "complete",
+}
+"""The same for faults that only the content of photos can show."""
 REFUSED_GIMBALS: Final = frozenset({"echo", "echo-untold", "echo-device", "servo"})
 """Gimbals that measure nothing: no photo is accepted."""
 REFUSED_CAMERAS: Final = frozenset({"video-locked"})

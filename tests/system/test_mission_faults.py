@@ -31,9 +31,10 @@ from panoexec.mission.settings import GuardSettings, MissionSettings
 from panoexec.sim.config import AirframeConfig, CameraConfig, SimConfig
 from panoexec.sim.faults import parse_fault
 from tests.repository import ROOT
-from tests.system.kind_missions import FAULT_ENDS, TOLERANCE, ring
+from tests.system.kind_missions import CONTENT_FAULT_ENDS, FAULT_ENDS, TOLERANCE, ring
 
 SPEEDUP = 20.0
+EVERY_FAULT = {**FAULT_ENDS, **CONTENT_FAULT_ENDS}
 
 
 def _options(storage: Path, *faults: str, count: int = 8, images: bool = False, **simulation: Any) -> DryRunOptions:
@@ -156,17 +157,17 @@ async def test_after_a_reboot_in_flight_the_mission_stays_paused(tmp_path: Path,
 @pytest.mark.skipif(
     "PANOEXEC_ALL_FAULTS" not in os.environ, reason="PANOEXEC_ALL_FAULTS=1 flies all of them (2 to 4 min)"
 )
-@pytest.mark.parametrize("fault", FAULT_ENDS)
+@pytest.mark.parametrize("fault", EVERY_FAULT)
 async def test_each_fault_ends_as_documented(tmp_path: Path, fault: str) -> None:
     summary, _ = await _fly(_options(tmp_path, fault))
-    assert summary.state == FAULT_ENDS[fault]
+    assert summary.state == EVERY_FAULT[fault]
     assert not summary.missing or summary.state == "failed"
 
 
 def test_every_fault_of_the_simulator_is_flown() -> None:
     from panoexec.sim.faults import FAULTS  # noqa: PLC0415
 
-    assert {fault.partition("=")[0] for fault in FAULT_ENDS} == set(FAULTS)
+    assert {fault.partition("=")[0] for fault in EVERY_FAULT} == set(FAULTS)
 
 
 def test_the_documentation_has_each_fault_with_its_reaction_and_its_state() -> None:
@@ -181,6 +182,6 @@ def test_the_documentation_has_each_fault_with_its_reaction_and_its_state() -> N
         for name in re.findall(r"`([a-z-]+)`", cells[1]):
             ends.setdefault(name, set()).add("complete" if by_itself else "failed")
             assert cells[3] in set(MissionState), line
-    assert set(ends) == {fault.partition("=")[0] for fault in FAULT_ENDS}
-    for fault, end in FAULT_ENDS.items():
+    assert set(ends) == {fault.partition("=")[0] for fault in EVERY_FAULT}
+    for fault, end in EVERY_FAULT.items():
         assert end in ends[fault.partition("=")[0]], fault

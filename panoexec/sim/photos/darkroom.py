@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from panoexec.errors import DeviceError, PanoexecError, UsageError
+from panoexec.files import write_atomically
 from panoexec.optics import Camera
 
 _NICENESS = 5
@@ -37,6 +38,8 @@ class ExposedPhoto:
         exposure_s: shutter time.
         position: (latitude, longitude, altitude, altitude above home) in degrees and metres, None without a fix.
         flight_yaw_deg: the vehicle's heading, None if unknown.
+        spoils: (fault, size, seed) of what spoils picture or file (`panoexec.sim.photos.spoiling`).
+        is_stale: the file is the previous one's again.
     """
 
     path: str
@@ -46,6 +49,8 @@ class ExposedPhoto:
     exposure_s: float
     position: tuple[float, float, float, float] | None
     flight_yaw_deg: float | None
+    spoils: tuple[tuple[str, float, int], ...] = ()
+    is_stale: bool = False
 
 
 class Darkroom:
@@ -57,12 +62,15 @@ class Darkroom:
         failures: error messages, one line each.
     """
 
-    def __init__(self, camera: Camera, width_px: int, *, scene: Path | None, seed: int) -> None:
+    def __init__(
+        self, camera: Camera, width_px: int, *, scene: Path | None, seed: int, scene_kind: str = "city"
+    ) -> None:
         self._setup = {
             "camera": dataclasses.asdict(camera),
             "width_px": width_px,
             "scene": str(scene) if scene else None,
             "seed": seed,
+            "scene_kind": scene_kind,
         }
         self._process: asyncio.subprocess.Process | None = None
         self._idle = asyncio.Event()
@@ -170,11 +178,12 @@ def _work() -> None:
         return
     _answer({"ready": True})
     camera = Camera(**setup["camera"])
+    last = b""
     for line in sys.stdin:
         job = json.loads(line)
         started = time.monotonic()
         try:
-            _develop(renderer, camera, setup["width_px"], job)
+            last = _develop(renderer, camera, setup["width_px"], job, last)
         except PanoexecError as error:
             _answer({"path": job["path"], "error": str(error)})
         else:
@@ -189,14 +198,23 @@ def _renderer(setup: dict[str, Any]) -> Any:
     from panoexec.sim.photos.render import Renderer  # noqa: PLC0415  (the client needs neither the renderer nor Pillow)
     from panoexec.sim.photos.scene import load_scene, procedural_scene  # noqa: PLC0415
 
-    return Renderer(load_scene(Path(setup["scene"])) if setup["scene"] else procedural_scene(setup["seed"]))
+    return Renderer(
+        load_scene(Path(setup["scene"]))
+        if setup["scene"]
+        else procedural_scene(setup["seed"], kind=setup["scene_kind"])
+    )
 
 
-def _develop(renderer: Any, camera: Camera, width_px: int, job: dict[str, Any]) -> None:
+def _develop(renderer: Any, camera: Camera, width_px: int, job: dict[str, Any], last: bytes) -> bytes:
+    """Write a photo; returns the file's content, which is `last` again for a stale one."""
     from panoexec.angles import rotation  # noqa: PLC0415
     from panoexec.formats.xmp import Position  # noqa: PLC0415
-    from panoexec.sim.photos.jpeg import PhotoMetadata, write_jpeg  # noqa: PLC0415
+    from panoexec.sim.photos.jpeg import PhotoMetadata, jpeg_bytes  # noqa: PLC0415
+    from panoexec.sim.photos.spoiling import spoiled_file, spoiled_image  # noqa: PLC0415
 
+    if job["is_stale"] and last:
+        write_atomically(Path(job["path"]), last, sync=False)
+        return last
     truth = job["truth_deg"]
     poses = rotation([t[0] for t in truth], [t[2] for t in truth], [t[1] for t in truth])
     place = job["position"]
@@ -214,7 +232,15 @@ def _develop(renderer: Any, camera: Camera, width_px: int, job: dict[str, Any]) 
         flight_yaw_deg=job["flight_yaw_deg"],
         model=camera.name,
     )
-    write_jpeg(Path(job["path"]), renderer.render(camera, poses, width_px), metadata)
+    image = renderer.render(camera, poses, width_px)
+    for fault, size, seed in job["spoils"]:
+        image = spoiled_image(image, fault, size, seed=seed)
+    content = jpeg_bytes(image, metadata)
+    for fault, _, seed in job["spoils"]:
+        content = spoiled_file(content, fault, seed=seed)
+    # no fsync: a simulated photo need not survive a power loss
+    write_atomically(Path(job["path"]), content, sync=False)
+    return content
 
 
 if __name__ == "__main__":

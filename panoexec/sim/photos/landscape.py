@@ -13,8 +13,9 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from panoexec.sim.photos.landscape_kinds import KINDS, Floats, Surroundings, darken, night
+
 Image: TypeAlias = NDArray[np.uint8]
-Floats: TypeAlias = NDArray[np.float32]
 
 _TILE: Final = 1024
 
@@ -99,9 +100,10 @@ class Landscape:
     Args:
         seed: chooses the landscape.
         width_px: pixels around the horizon.
+        kind: what it shows: `city`, or one of `landscape_kinds.KINDS`.
     """
 
-    def __init__(self, seed: int, width_px: int) -> None:
+    def __init__(self, seed: int, width_px: int, kind: str = "city") -> None:
         rng = np.random.default_rng(seed)
         self._salt = int(rng.integers(1 << 24))
         self._scale = np.float32(width_px / (2 * np.pi))
@@ -115,6 +117,8 @@ class Landscape:
         self._tower, self._tower_left, self._tower_colour = self._towers(rng, azimuth)
         self._sun = np.float32(rng.uniform(-np.pi, np.pi))
         self._street = np.float32(rng.uniform(0, np.pi / 2))
+        self._kind = KINDS.get(kind)
+        self._shore = rng.uniform(0, 2 * np.pi, 4).astype(np.float32)
 
     @staticmethod
     def _hill_heights(rng: np.random.Generator, azimuth: Floats) -> Floats:
@@ -150,12 +154,16 @@ class Landscape:
         ground = elevation < 0
         if ground.any():
             rgb = self._ground(elevation[ground])
+            if self._kind is not None:
+                self._kind(rgb, self._around(elevation[ground]))
             out[ground] = np.clip(rgb, 0, 255).astype(np.uint8).transpose(1, 2, 0)
         if not ground.all():
             sky = elevation[~ground]
             rgb = self._sky(sky)
             if sky.min() < np.radians(12.0):
                 self._skyline(sky, rgb)
+            if self._kind is night:
+                darken(rgb)
             out[~ground] = np.clip(rgb, 0, 255).astype(np.uint8).transpose(1, 2, 0)
 
     def _ground_plane(self, elevation: Floats) -> tuple[Floats, Floats]:
@@ -169,6 +177,21 @@ class Landscape:
         radius = np.where(angle < _BEND, np.tan(np.minimum(angle, _BEND)), np.tan(_BEND) + slope * (angle - _BEND))
         radius = radius.astype(np.float32)[:, None]
         return radius * self._cos, radius * self._sin
+
+    def _around(self, elevation: Floats) -> Surroundings:
+        """What the kinds of landscapes need to know of rows of the ground."""
+        x, y = self._ground_plane(elevation)
+        return Surroundings(
+            x=x,
+            y=y,
+            phases=self._shore,
+            smooth=_sample(
+                self._coarse, x * 130 + (self._offset[0] + 8 * _TILE), y * 130 + (self._offset[1] + 8 * _TILE)
+            ),
+            sparks=_hash(
+                np.floor(x * np.float32(55)).astype(np.int32), np.floor(y * np.float32(55)).astype(np.int32), self._salt
+            ),
+        )
 
     def _ground(self, elevation: Floats) -> Floats:
         """Colours of rows of the ground, (3, rows, width)."""

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from panoexec.angles import FloatArray
 from panoexec.optics import Camera
-from panoexec.sim.photos.landscape import Floats, Image
+from panoexec.sim.photos.landscape import Image
+from panoexec.sim.photos.landscape_kinds import Floats
 from panoexec.sim.photos.scene import Scene
 
 _BLOCK_PIXELS: Final = 1 << 15

@@ -97,26 +97,27 @@ def _check_size(path: Path, width: int, height: int) -> None:
         raise InputFileError(str(path), [f"image width {width} px; a scene has {MIN_WIDTH_PX} to {MAX_WIDTH_PX} px"])
 
 
-def procedural_scene(seed: int = 1, width_px: int = DEFAULT_WIDTH_PX) -> Scene:
+def procedural_scene(seed: int = 1, width_px: int = DEFAULT_WIDTH_PX, kind: str = "city") -> Scene:
     """The generated landscape; the same for the same arguments, kept in memory for the next call.
 
     Args:
         seed: chooses the landscape.
         width_px: even, pixels around the horizon; detail goes down to the pixel at any size.
+        kind: what it shows, see `panoexec.sim.photos.landscape_kinds`.
     """
     if width_px % 2 or not MIN_WIDTH_PX <= width_px <= MAX_WIDTH_PX:
         raise ValueError(f"width_px must be even and within {MIN_WIDTH_PX} to {MAX_WIDTH_PX}, got {width_px}")
-    return _procedural_scene(seed, width_px)
+    return _procedural_scene(seed, width_px, kind)
 
 
 @lru_cache(maxsize=2)
-def _procedural_scene(seed: int, width_px: int) -> Scene:
+def _procedural_scene(seed: int, width_px: int, kind: str) -> Scene:
     height = width_px // 2
-    landscape = Landscape(seed, width_px)
+    landscape = Landscape(seed, width_px, kind)
     pixels = np.empty((height, width_px, 3), dtype=np.uint8)
     step = max(1, _BLOCK_PIXELS // width_px)
     elevation = np.radians(90 - (np.arange(height, dtype=np.float32) + 0.5) / height * 180)
     for top in range(0, height, step):
         landscape.paint(elevation[top : top + step], pixels[top : top + step])
     pixels.setflags(write=False)
-    return Scene(pixels, f"procedural {seed}")
+    return Scene(pixels, f"procedural {kind} {seed}")

@@ -1,0 +1,1 @@
+"""Examines photos: readable, exposed, sharp, and tied to their neighbours under the measured attitudes."""

@@ -1,0 +1,208 @@
+"""Where photos really looked: corrections of the measured attitudes from ties, robustly, with time in mind.
+
+Unknown is a small rotation of each photo in the world frame. Each tie says how two photos' corrections differ. Each
+measured attitude says that its own correction is small: tilt (about horizontal axes) within a tenth of a degree, yaw
+within the error of the heading, which drifts slowly, so that photos taken one after the other share it. All three are
+believed robustly (Cauchy weights, re-weighted least squares): one photo whose attitude is wrong is moved to where its
+neighbours see it, instead of pulling them along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from panoexec.angles import FloatArray
+
+IntArray = NDArray[np.intp]
+
+_ROUNDS: Final = 12
+_TIE_DEG: Final = 0.03
+"""Least standard deviation of a tie."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttitudeErrors:
+    """Standard deviations of measured attitudes.
+
+    Attributes:
+        tilt_deg: about horizontal axes.
+        heading_deg: about the vertical, shared by photos taken at about the same time.
+        jitter_deg: about the vertical, of a single photo.
+        drift_deg_s: how fast the shared part changes.
+    """
+
+    tilt_deg: float = 0.08
+    heading_deg: float = 0.7
+    jitter_deg: float = 0.08
+    drift_deg_s: float = 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TieEquation:
+    """What a tie says of two photos.
+
+    Attributes:
+        first, second: their places in the list.
+        turn_deg: (3,) measured minus true attitude of the second, if the first's were right; world frame.
+        sigma_deg: its standard deviation.
+    """
+
+    first: int
+    second: int
+    turn_deg: FloatArray
+    sigma_deg: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Corrections:
+    """The result.
+
+    Attributes:
+        error_deg: (n, 3) measured minus true attitude of each photo, world frame (north, east, down).
+        odd_deg: (n,) the part of it that neither the tilt's error nor the drift of the heading explains.
+        tie_deg: (m,) what remains of each tie.
+    """
+
+    error_deg: FloatArray
+    odd_deg: FloatArray
+    tie_deg: FloatArray
+
+
+def corrections(
+    times_s: Sequence[float], ties: Sequence[TieEquation], errors: AttitudeErrors | None = None
+) -> Corrections:
+    """Estimate the errors of measured attitudes.
+
+    Args:
+        times_s: when each photo was taken.
+        ties: between them.
+        errors: what to expect of the attitudes.
+    """
+    errors = errors or AttitudeErrors()
+    count = len(times_s)
+    if not count:
+        return Corrections(error_deg=np.zeros((0, 3)), odd_deg=np.zeros(0), tie_deg=np.zeros(0))
+    times = np.asarray(times_s, dtype=np.float64)
+    first = np.array([tie.first for tie in ties], dtype=np.intp)
+    second = np.array([tie.second for tie in ties], dtype=np.intp)
+    turns = np.array([tie.turn_deg for tie in ties]).reshape(-1, 3)
+    sigma = np.hypot(_TIE_DEG, np.array([tie.sigma_deg for tie in ties]))
+    shots = np.arange(count)
+    none = np.full(count, -1)
+    own, left = np.zeros((count, 3)), np.zeros((len(ties), 3))
+    shared: FloatArray = np.zeros(count)
+    # the three axes are independent of each other
+    for axis in range(3):
+        system = _System()
+        if axis < 2:
+            system.add(shots, none, 0.0, errors.tilt_deg, robust=True)
+        else:
+            # beside each photo's own error, the heading's shared error at its time
+            order = np.argsort(times, kind="stable")
+            gaps = np.maximum(np.nan_to_num(np.diff(times[order]), nan=60.0), 0.5)
+            system.add(shots, count + shots, 0.0, errors.jitter_deg, robust=True)
+            system.add(count + shots, none, 0.0, errors.heading_deg, robust=False)
+            system.add(count + order[1:], count + order[:-1], 0.0, errors.drift_deg_s * gaps, robust=False)
+        system.add(second, first, turns[:, axis], sigma, robust=True)
+        found = system.solve(count if axis < 2 else 2 * count)
+        own[:, axis] = found[:count]
+        left[:, axis] = found[second] - found[first] - turns[:, axis]
+        if axis == 2:
+            shared = found[count:]
+    odd = np.hypot(np.hypot(own[:, 0], own[:, 1]), own[:, 2] - shared)
+    return Corrections(error_deg=own, odd_deg=odd, tie_deg=np.linalg.norm(left, axis=1))
+
+
+class _System:
+    """Equations x[a] - x[b] = value ± sigma; without b, x[a] = value."""
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[IntArray, IntArray, FloatArray, FloatArray, NDArray[np.bool_]]] = []
+
+    def add(self, a: IntArray, b: IntArray, value: ArrayLike, sigma: ArrayLike, *, robust: bool) -> None:
+        """Add equations; b is -1 where there is none."""
+        shape = a.shape
+        self._parts.append(
+            (a, b, np.broadcast_to(np.asarray(value, np.float64), shape),
+             np.broadcast_to(np.asarray(sigma, np.float64), shape), np.full(shape, robust))
+        )  # fmt: skip
+
+    def solve(self, size: int) -> FloatArray:
+        """The unknowns (size,)."""
+        a, b, value, sigma, robust = (np.concatenate(column) for column in zip(*self._parts, strict=True))
+        pair = b >= 0
+        partner = np.where(pair, b, a)
+        found: FloatArray = np.zeros(size)
+        # from almost quadratic to robust: the first rounds find a place for everybody
+        for scale in np.geomspace(30.0, 3.0, _ROUNDS):
+            residual = (found[a] - np.where(pair, found[partner], 0.0) - value) / sigma
+            weight = np.where(robust, 1 / (1 + (residual / scale) ** 2), 1.0) / sigma**2
+            normal, side = 1e-9 * np.eye(size), np.zeros(size)
+            np.add.at(normal, (a, a), weight)
+            np.add.at(side, a, weight * value)
+            both = weight * pair
+            np.add.at(normal, (partner, partner), both)
+            np.add.at(normal, (a, partner), -both)
+            np.add.at(normal, (partner, a), -both)
+            np.add.at(side, partner, -both * value)
+            found = np.asarray(np.linalg.solve(normal, side))
+        return found
+
+
+def connected_groups(count: int, edges: Sequence[tuple[int, int]]) -> list[list[int]]:
+    """Connected groups of a graph, the largest first."""
+    group = list(range(count))
+
+    def root(k: int) -> int:
+        while group[k] != k:
+            group[k] = group[group[k]]
+            k = group[k]
+        return k
+
+    for a, b in edges:
+        group[root(a)] = root(b)
+    members: dict[int, list[int]] = {}
+    for k in range(count):
+        members.setdefault(root(k), []).append(k)
+    return sorted(members.values(), key=lambda found: (-len(found), found))
+
+
+def bridges(count: int, edges: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The edges without which a group falls apart."""
+    neighbours: Mapping[int, list[int]] = {k: [] for k in range(count)}
+    for a, b in edges:
+        neighbours[a].append(b)
+        neighbours[b].append(a)
+    reached, low = [-1] * count, [0] * count
+    found, clock = [], 0
+    for start in range(count):
+        if reached[start] >= 0:
+            continue
+        reached[start] = low[start] = clock
+        clock += 1
+        stack = [(start, -1, iter(neighbours[start]))]
+        while stack:
+            node, parent, rest = stack[-1]
+            for other in rest:
+                if other == parent:
+                    continue
+                if reached[other] >= 0:
+                    low[node] = min(low[node], reached[other])
+                    continue
+                reached[other] = low[other] = clock
+                clock += 1
+                stack.append((other, node, iter(neighbours[other])))
+                break
+            else:
+                stack.pop()
+                if stack:
+                    above = stack[-1][0]
+                    low[above] = min(low[above], low[node])
+                    if low[node] > reached[above]:
+                        found.append((min(above, node), max(above, node)))
+    return sorted(found)

@@ -1,0 +1,215 @@
+"""Examines photos one by one as they arrive, and keeps what it needs to tie later ones to them."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import PIL.Image
+
+from panoexec.angles import FloatArray
+from panoexec.optics import Camera
+from panoexec.pictures.decoding import UnreadableError, decode
+from panoexec.pictures.features import Exposure, Features, features_of
+from panoexec.pictures.judgement import Limits, Pair, Subject, judge
+from panoexec.pictures.matching import Tie, View, tie
+from panoexec.pictures.model import Content, PhotoToCheck, Verdicts
+from panoexec.planning.geometry.overlap import pairwise_overlap
+
+EXAMINED_PX: Final = 1000
+"""Longer side at which photos are examined."""
+MIN_OVERLAP: Final = 0.03
+"""Least overlap, both ways, of photos that are compared."""
+_BLACK, _WHITE = 10.0, 250.0
+_IN_MEMORY: Final = 48
+"""Photos whose pixels are kept as they are; those of older ones are kept as JPEGs."""
+
+
+@dataclass(slots=True)
+class _Photo:
+    photo: PhotoToCheck
+    features: Features | None = None
+    packed: bytes = b""
+    problem: tuple[Content, str] | None = None
+    digest: bytes = b""
+    used: int = 0
+
+
+class Examiner:
+    """The photos of one mission.
+
+    Args:
+        camera: its optics; the field of view counts, not the number of pixels.
+        planned: planned attitude (3, 3) of each shot, from which its neighbours are known before they are taken.
+        limits: what is a good photo.
+        longer_px: the longer side at which photos are examined.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        planned: Mapping[int, FloatArray] | None = None,
+        *,
+        limits: Limits | None = None,
+        longer_px: int = EXAMINED_PX,
+    ) -> None:
+        self._camera = camera
+        self._limits = limits or Limits()
+        self._longer_px = longer_px
+        self._photos: dict[int, _Photo] = {}
+        self._ties: dict[Pair, Tie] = {}
+        self._planned: dict[int, FloatArray] = {}
+        self._expected: dict[int, frozenset[int]] = {}
+        self._size: tuple[int, int] | None = None
+        self._uses = 0
+        self.plan(planned or {})
+
+    def plan(self, planned: Mapping[int, FloatArray]) -> None:
+        """Add planned shots."""
+        self._planned.update(planned)
+        shots = sorted(self._planned)
+        if not shots:
+            return
+        rotations = np.array([self._planned[shot] for shot in shots])
+        for number, shot in enumerate(shots):
+            shared = self._overlaps(rotations[number], rotations)
+            near = {other for other, value in zip(shots, shared, strict=True) if value >= MIN_OVERLAP}
+            self._expected[shot] = frozenset(near - {shot})
+
+    def drop(self, shot: int) -> None:
+        """Forget a photo, or a planned shot that will not be taken."""
+        self._photos.pop(shot, None)
+        for pair in [pair for pair in self._ties if shot in pair]:
+            del self._ties[pair]
+
+    def forget_plan(self, shot: int) -> None:
+        """No photo of this shot is to come."""
+        self._planned.pop(shot, None)
+        self._expected.pop(shot, None)
+        self._expected = {own: others - {shot} for own, others in self._expected.items()}
+
+    @property
+    def ties(self) -> Mapping[Pair, Tie]:
+        """Results by pairs of shots, the lower number first."""
+        return self._ties
+
+    def focal_px(self) -> float:
+        """Focal length at the scale of the examination; NaN before the first readable photo."""
+        for photo in self._photos.values():
+            if photo.features is not None:
+                return photo.features.size[0] / (2 * self._camera.half_width)
+        return float("nan")
+
+    def size_px(self) -> tuple[int, int] | None:
+        """Width and height at the scale of the examination."""
+        return next((photo.features.size for photo in self._photos.values() if photo.features is not None), None)
+
+    def add(self, photo: PhotoToCheck, content: bytes) -> None:
+        """Examine a photo; it replaces an earlier one of the same shot.
+
+        Args:
+            photo: which one, and its attitude.
+            content: of its file.
+        """
+        self.drop(photo.shot)
+        own = _Photo(photo)
+        self._photos[photo.shot] = own
+        try:
+            decoded = decode(content, self._longer_px)
+        except UnreadableError as error:
+            own.problem = (Content.UNREADABLE, str(error))
+            return
+        size = (decoded.width_px, decoded.height_px)
+        if self._size is None:
+            self._size = size
+        elif size != self._size:
+            text = f"is {size[0]} x {size[1]} px, the others {self._size[0]} x {self._size[1]} px"
+            own.problem = (Content.UNREADABLE, text)
+            return
+        features = features_of(decoded.grey)
+        own.problem = _own_exposure(features.exposure)
+        own.digest = hashlib.sha256(decoded.grey.tobytes()).digest()
+        own.features = features
+        if own.problem is not None:
+            return
+        self._tie(own)
+        self._make_room()
+
+    def verdicts(self, *, final: bool = False) -> Verdicts:
+        """Judge all photos so far.
+
+        Args:
+            final: no more photos are to come.
+        """
+        first: dict[bytes, int] = {}
+        subjects = []
+        by_time = sorted(self._photos.values(), key=lambda own: (own.photo.time_s, own.photo.shot))
+        for own in by_time:
+            same = first.get(own.digest) if own.digest and own.problem is None else None
+            if own.digest and own.problem is None and same is None:
+                first[own.digest] = own.photo.shot
+            subjects.append(
+                Subject(
+                    shot=own.photo.shot,
+                    time_s=own.photo.time_s,
+                    problem=own.problem,
+                    same_as=same,
+                    expected=self._expected.get(own.photo.shot, frozenset()),
+                )
+            )
+        return judge(subjects, self._ties, self._limits, final=final)
+
+    def _tie(self, own: _Photo) -> None:
+        others = [
+            other
+            for other in self._photos.values()
+            if other is not own and other.features is not None and other.problem is None
+        ]
+        if not others:
+            return
+        shared = self._overlaps(own.photo.rotation, np.array([other.photo.rotation for other in others]))
+        for other, value in zip(others, shared, strict=True):
+            if value < MIN_OVERLAP:
+                continue
+            first, second = (own, other) if own.photo.shot < other.photo.shot else (other, own)
+            result = tie(self._view(first), self._view(second))
+            if result is not None:
+                self._ties[first.photo.shot, second.photo.shot] = result
+
+    def _view(self, own: _Photo) -> View:
+        assert own.features is not None
+        self._uses += 1
+        own.used = self._uses
+        if own.packed:
+            grey = np.asarray(PIL.Image.open(io.BytesIO(own.packed)))
+            own.features, own.packed = replace(own.features, grey=grey), b""
+        focal = own.features.size[0] / (2 * self._camera.half_width)
+        return View(features=own.features, rotation=own.photo.rotation, focal_px=focal)
+
+    def _make_room(self) -> None:
+        """Keep the pixels of the photos that were used last; the others' as JPEGs."""
+        whole = [own for own in self._photos.values() if own.features is not None and not own.packed]
+        for own in sorted(whole, key=lambda own: own.used)[: max(0, len(whole) - _IN_MEMORY)]:
+            assert own.features is not None
+            buffer = io.BytesIO()
+            PIL.Image.fromarray(own.features.grey).save(buffer, "JPEG", quality=93)
+            own.packed = buffer.getvalue()
+            own.features = replace(own.features, grey=np.empty((0, own.features.size[0]), dtype=np.uint8))
+
+    def _overlaps(self, rotation: FloatArray, others: FloatArray) -> FloatArray:
+        """Mutual overlap of one photo with others, (n,)."""
+        there = pairwise_overlap(self._camera, rotation[None], others)
+        back = pairwise_overlap(self._camera, others, rotation[None])
+        return np.minimum(there, back)
+
+
+def _own_exposure(exposure: Exposure) -> tuple[Content, str] | None:
+    if exposure.high <= _BLACK:
+        return Content.EXPOSURE, f"black: 99 % of its pixels are at most {exposure.high:.0f} of 255"
+    if exposure.low >= _WHITE:
+        return Content.EXPOSURE, f"white: 99 % of its pixels are at least {exposure.low:.0f} of 255"
+    return None

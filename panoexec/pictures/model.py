@@ -1,0 +1,128 @@
+"""Verdicts on photos."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from panoexec.angles import FloatArray
+
+
+class Content(StrEnum):
+    """What the content of a photo proves."""
+
+    OK = "ok"
+    """Readable, exposed, sharp, and tied to its neighbours where its attitude says it is."""
+    GEOMETRY_ONLY = "geometry_only"
+    """Nothing in its overlaps can be tied (sky, water, fog): its measured attitude alone says where it is."""
+    UNREADABLE = "unreadable"
+    """Not readable to its last byte, or of another size than the others."""
+    EXPOSURE = "exposure"
+    """Black, white, or some stops off its neighbours."""
+    BLURRED = "blurred"
+    """Less sharp than its neighbours where they overlap."""
+    UNTIED = "untied"
+    """It and its neighbours show texture in their overlaps, but nothing in common."""
+    CONTRADICTS = "contradicts"
+    """It is tied elsewhere than its attitude says, or shows something else than all its neighbours."""
+    UNCHECKED = "unchecked"
+    """It did not reach this computer, or was not examined."""
+
+
+BAD = frozenset({Content.UNREADABLE, Content.EXPOSURE, Content.BLURRED, Content.UNTIED, Content.CONTRADICTS})
+"""Verdicts with which a photo does not count."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TieLine:
+    """One tie of a photo.
+
+    Attributes:
+        shot: the other photo's.
+        points: how many corners agree.
+        angle_deg: by how much the two measured attitudes contradict the content.
+    """
+
+    shot: int
+    points: int
+    angle_deg: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judgement:
+    """The verdict on one photo.
+
+    Attributes:
+        shot: its number.
+        verdict: see `Content`.
+        reason: in words; "" for a good photo.
+        settled: no photo that is still to come can change the verdict: all planned neighbours are there, or the fault
+            is the photo's own.
+        sharpness: fine detail relative to its neighbours (median), NaN where there is none.
+        stops: brightness relative to its neighbours (median), stops, NaN without neighbours.
+        odd_deg: by how much its measured attitude is wrong beyond what attitudes usually are.
+        error_deg: (3,) measured minus estimated attitude, world frame (north, east, down), degrees.
+        ties: to its neighbours.
+    """
+
+    shot: int
+    verdict: Content
+    reason: str = ""
+    settled: bool = True
+    sharpness: float = float("nan")
+    stops: float = float("nan")
+    odd_deg: float = 0.0
+    error_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ties: tuple[TieLine, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TieGraph:
+    """The tie graph of all photos.
+
+    Attributes:
+        photos: shots that were examined and are good.
+        edges: (shot, shot, points) of agreeing ties.
+        groups: shots connected with each other by ties, the largest group first.
+        bridges: ties without which a group falls apart.
+        geometry_only: shots that hang on their measured attitude alone.
+    """
+
+    photos: tuple[int, ...] = ()
+    edges: tuple[tuple[int, int, int], ...] = ()
+    groups: tuple[tuple[int, ...], ...] = ()
+    bridges: tuple[tuple[int, int], ...] = ()
+    geometry_only: tuple[int, ...] = ()
+
+    @property
+    def connected(self) -> bool:
+        """Whether all photos that can be tied are tied to each other."""
+        return sum(1 for group in self.groups if len(group) > 1 or group[0] not in self.geometry_only) <= 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdicts:
+    """All verdicts, and the tie graph of the good photos."""
+
+    photos: dict[int, Judgement] = field(default_factory=dict)
+    graph: TieGraph = field(default_factory=TieGraph)
+
+    @property
+    def bad(self) -> list[Judgement]:
+        """Photos that do not count."""
+        return [found for found in self.photos.values() if found.verdict in BAD]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhotoToCheck:
+    """A photo and what is known of it.
+
+    Attributes:
+        shot: its number.
+        rotation: (3, 3) measured attitude, camera to plan frame.
+        time_s: when it was taken, on any clock; NaN if unknown.
+    """
+
+    shot: int
+    rotation: FloatArray
+    time_s: float = float("nan")
