@@ -18,6 +18,7 @@ from panoexec.mission.dated_exposure import ShutterLag, has_window, is_dated, wi
 from panoexec.mission.pointing.echo import EchoWatch
 from panoexec.mission.pointing.foreign import ForeignPointing
 from panoexec.mission.pointing.heading import HeadingController
+from panoexec.mission.pointing.nose_hold import NoseHold, motion_of
 from panoexec.mission.pointing.poses import PoseReader, read_pose, to_north
 from panoexec.mission.pointing.steady_error import SteadyErrorWatch, error_at_rest
 from panoexec.mission.pointing.tolerance_gate import (
@@ -28,6 +29,7 @@ from panoexec.mission.pointing.tolerance_gate import (
     allowed_gap_s,
     judge_window,
 )
+from panoexec.mission.pointing.unseen_motion import HEADING_LAG_S
 from panoexec.mission.preflight import gimbal_limits
 from panoexec.mission.protocols import MayFireLate, PacesPhotos, PhotoRecall
 from panoexec.mission.settings import MissionSettings
@@ -59,6 +61,10 @@ HELD_MARGIN_S = 0.2
 """The same for reports that repeat, as those that are renewed ten times a second."""
 OLDEST_REPORT_S = 2.0
 """Longest wait for the reports of an exposure. Where a slew is seen later than that, no pose is verified."""
+NOSE_HELD_S = 0.1
+"""How long a nose must have been inside tolerance and slow: as long as its speed is measured over."""
+FORESEE_MARGIN_S = 0.05
+"""The exposure, and the camera's report of it, may end so much later than expected."""
 BEFORE_SLEW_S = 1.5
 """Samples of so long before a slew are read, to know where it began: idle streams come once a second."""
 
@@ -74,6 +80,7 @@ class Shooter:
         echo: judges from each slew whether the gimbal's reports are measured.
         steady_error: knows whether the gimbal rests beside its commands.
         foreign: knows whether another station points the gimbal.
+        nose: knows how well the vehicle holds its heading, where that is the camera's yaw.
     """
 
     gimbal: Gimbal
@@ -88,6 +95,7 @@ class Shooter:
     echo: EchoWatch = field(init=False)
     steady_error: SteadyErrorWatch = field(init=False)
     foreign: ForeignPointing = field(init=False)
+    nose: NoseHold = field(init=False)
     _ready_s: float = field(default=-math.inf, init=False)
     _pointed: tuple[float, float] | None = field(default=None, init=False)
     _warned_interval_s: float = field(default=0.0, init=False)
@@ -101,6 +109,7 @@ class Shooter:
         self.echo = EchoWatch(self.gimbal.known.echo)
         self.steady_error = SteadyErrorWatch()
         self.foreign = ForeignPointing()
+        self.nose = NoseHold()
         self.poses = PoseReader(feed=self.gimbal.feed, reference_yaw_north_deg=self.reference_yaw_north_deg)
 
     async def approach(
@@ -136,13 +145,7 @@ class Shooter:
                 await blocker.wait()
             await self.clock.sleep(self._interval_left_s())
             return Settled(commanded_s=commanded_s, settled_s=self.clock.monotonic())
-        interval_s = self.poses.interval_s
-        limits = SettleLimits(
-            settle_s=self.settings.settle_s,
-            max_rate_deg_s=self.settings.max_rate_deg_s,
-            max_gap_s=self.settings.max_gap_s if math.isnan(interval_s) else self._gap_s(),
-            use_reported_rate=not self._vehicle_pans,
-        )
+        limits = self._settle_limits()
         target = self._target(shot)
         tracker = SettleTracker(target=target, limits=limits)
         bound_s = expected_s + self.settings.settle_s + patience_s
@@ -150,7 +153,7 @@ class Shooter:
             poses=self.poses,
             feed=self.gimbal.feed,
             clock=self.clock,
-            settle_s=self.settings.settle_s,
+            settle_s=limits.settle_s,
             tracker=tracker,
             next_trigger_s=lambda: self._next_trigger_s,
             heading_controller=self.heading_controller,
@@ -169,6 +172,17 @@ class Shooter:
         if settled_s is not None:
             return Settled(commanded_s=commanded_s, settled_s=settled_s)
         return NotSettled(code="foreign", reason=foreign) if foreign else self._not_settled(tracker, bound_s)
+
+    def _settle_limits(self) -> SettleLimits:
+        """What settled means: a nose never comes to rest, and is judged by what the exposure needs of it."""
+        settings, nose = self.settings, self._vehicle_pans
+        return SettleLimits(
+            settle_s=min(settings.settle_s, NOSE_HELD_S) if nose else settings.settle_s,
+            max_rate_deg_s=settings.max_rate_deg_s,
+            max_gap_s=settings.max_gap_s if math.isnan(self.poses.interval_s) else self._gap_s(),
+            foresee_s=self.lag.bound_s + settings.exposure_s + FORESEE_MARGIN_S if nose else 0.0,
+            use_reported_rate=not nose,
+        )
 
     def _unverifiable(self) -> NotSettled | None:
         """Why no exposure can be verified by the gimbal's reports, as its slews have shown; None if it can."""
@@ -217,7 +231,11 @@ class Shooter:
         if settled:
             self.steady_error.settled()
             self.foreign.settled()
-        elif not self._vehicle_pans:
+            self.nose.settled()
+        elif self.heading_controller is not None and self._vehicle_pans:
+            since_s = commanded_s + self.heading_controller.last_turn_s
+            self.nose.failed(motion_of(readings, since_s=since_s), shot=shot.index, yaw_deg=yaw_deg)
+        else:
             foreign = self.foreign.failed(readings, commanded_s=commanded_s, pitch_deg=shot.pitch_deg, yaw_deg=yaw_deg)
             if foreign:
                 return foreign
@@ -359,7 +377,14 @@ class Shooter:
             return WindowVerdict(ok=True, reason="", code="", samples=0, measured=None, errors=None)
         readings = self.poses.since(start_s - 2 * self.settings.max_gap_s)
         gap = self._gap_s()
-        return judge_window(readings, target=self._target(shot), start_s=start_s, end_s=end_s, max_gap_s=gap)
+        return judge_window(
+            readings,
+            target=self._target(shot),
+            start_s=start_s,
+            end_s=end_s,
+            max_gap_s=gap,
+            heading_lag_s=HEADING_LAG_S if self._vehicle_pans else 0.0,
+        )
 
     @property
     def _vehicle_pans(self) -> bool:

@@ -44,6 +44,7 @@ PAUSE_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
         "gimbal": "gimbal refuses each pose",
         "offset": "gimbal off its target each time",
         "reports": "gimbal reports too old",
+        "heading": "heading not held, too much wind",
         "command": "by command",
     }
 )

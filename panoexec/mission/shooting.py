@@ -19,6 +19,7 @@ from panoexec.mission.log.record import ShotStatus, Verdict
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.mission_requests import Stop
 from panoexec.mission.photo_proof import PhotoProof
+from panoexec.mission.pointing.nose_hold import HEADING_CODE
 from panoexec.mission.pointing.steady_error import cannot_hold
 from panoexec.mission.pointing.tolerance_gate import WindowVerdict
 from panoexec.mission.preflight import ECHO_ADVICE, gimbal_limits
@@ -139,6 +140,12 @@ class Shooting:
             self._revoke_unverified()
             context.requests.request_stop(Stop("fail", f"{failure.reason}; {ECHO_ADVICE}"))
             return
+        nose, settings = self.shooter.nose, context.settings
+        if why := nose.cannot_hold(settings.tolerance.yaw_deg, settings.max_rate_deg_s):
+            finding = Finding(code=HEADING_CODE, reason=why, automatic=False, retry=True)
+            self._hold_for(finding, nose.shots)
+            nose.settled()
+            return
         steady = self.shooter.steady_error.found
         if steady is None or context.record.shots_done:
             return
@@ -237,11 +244,11 @@ class Shooting:
             self._context.record.shots[shot].shot, code=code, reason=reason, offset=offset
         )
         if failure is not None:
-            self._hold_for(failure)
+            self._hold_for(failure, self._failures.shots)
 
-    def _hold_for(self, failure: Finding) -> None:
+    def _hold_for(self, failure: Finding, shots: Sequence[int]) -> None:
         """Pause for a systematic failure; its shots get all their attempts back and are first after a `resume`."""
-        for shot in reversed(self._failures.shots):
+        for shot in reversed(shots):
             record = self._context.record.shots[shot]
             if record.accepted is None and record.open_attempt is None and record.status is not ShotStatus.SKIPPED:
                 self._context.queue.restore(shot)

@@ -41,6 +41,7 @@ class HeadingController:
     Attributes:
         trim_deg: added to a heading setpoint to cancel the steady error.
         turns: number of commanded turns to another heading.
+        last_turn_s: expected duration of the last turn, seconds.
         turn_ends_at_s: expected end of the last turn below a gimbal with a pan axis. During a fast turn a delay of
             30 ms is a degree, so the gimbal's reported yaw is then too inaccurate.
     """
@@ -56,6 +57,7 @@ class HeadingController:
         self._needed = False
         self.trim_deg = 0.0
         self.turns = 0
+        self.last_turn_s = 0.0
         self.turn_ends_at_s = -math.inf
 
     @property
@@ -110,7 +112,7 @@ class HeadingController:
         self._wanted_deg = wanted
         if turn_deg > NO_TURN_DEG:
             self.turns += 1
-        expected_s = float(turn_times_s(self._turning, turn_deg))
+        expected_s = self.last_turn_s = float(turn_times_s(self._turning, turn_deg))
         await self._command(expected_s)
         if not two_axes:
             self.turn_ends_at_s = self._steady_from_s

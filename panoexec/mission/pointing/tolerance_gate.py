@@ -23,11 +23,12 @@ from panoexec.angles import (
 )
 from panoexec.mission.log.events import AxisErrors, MeasuredPose
 from panoexec.mission.pointing.poses import Reading, mean_pose
+from panoexec.mission.pointing.unseen_motion import DENSE_GAP_S, slope, unseen_error
 from panoexec.planning.geometry.pose_error import PoseError, pose_error
 from panoexec.planning.model import Tolerance
 
-DENSE_GAP_S = 0.1
-"""Readings that are closer leave no room for a motion between them that matters."""
+FORESEEN_FROM_S = 0.25
+"""The speed at which a pose goes on is that of the readings of this time: noise of encoders has little part in it."""
 SPARSE_INTERVALS = 2.5
 """A stream may have gaps of so many of its own intervals: one message is lost now and then."""
 
@@ -69,6 +70,7 @@ class SettleLimits:
         settle_s: how long every sample must have been inside tolerance.
         max_rate_deg_s: largest angular speed.
         max_gap_s: longest gap between samples.
+        foresee_s: for how long from now on the pose must stay inside tolerance, at its present speed; 0: not judged.
         use_reported_rate: whether to use the angular speed that the device reports; else it is computed from the
             attitudes. Without a pan axis the reported one contains the airframe's vibration.
     """
@@ -76,6 +78,7 @@ class SettleLimits:
     settle_s: float
     max_rate_deg_s: float
     max_gap_s: float
+    foresee_s: float = 0.0
     use_reported_rate: bool = True
 
 
@@ -93,7 +96,7 @@ class SettleTracker:
         self._inside_since = math.nan
         self._newest = math.nan
         self._last: PoseError | None = None
-        self._rate = math.nan
+        self._track: deque[tuple[float, float, float, float]] = deque()
         self._problem: str | None = "no attitude sample received"
 
     @property
@@ -127,8 +130,15 @@ class SettleTracker:
         usable = [reading.rotation for reading in readings if reading.rotation is not None]
         errors = pose_error(self._target.pitch_deg, self._target.yaw_deg, np.stack(usable)) if usable else None
         inside = iter([] if errors is None else errors.within(self._target.tolerance).tolist())
+        axes = iter([] if errors is None else _axes(errors).tolist())
         for reading in readings:
-            self._take(reading, inside=reading.rotation is not None and next(inside))
+            if reading.rotation is None:
+                self._track.clear()
+                self._take(reading, inside=False)
+                continue
+            if self._limits.foresee_s:
+                self._follow(reading.time_s, *next(axes))
+            self._take(reading, inside=next(inside))
         if readings:
             self._last = None if errors is None or readings[-1].rotation is None else errors[-1]
 
@@ -161,6 +171,22 @@ class SettleTracker:
         rate = self._rate_deg_s(reading)
         if rate > self._limits.max_rate_deg_s:
             return f"still turning at {rate:.1f}°/s (at most {self._limits.max_rate_deg_s:g}°/s)"
+        return self._leaving() if self._limits.foresee_s else ""
+
+    def _follow(self, time_s: float, pitch_deg: float, roll_deg: float, yaw_deg: float) -> None:
+        self._track.append((time_s, pitch_deg, roll_deg, yaw_deg))
+        while self._track[0][0] < time_s - FORESEEN_FROM_S:
+            self._track.popleft()
+
+    def _leaving(self) -> str:
+        """Which axis would leave its tolerance during the exposure, at its present speed; "" if none would."""
+        times, *axes = np.array(self._track).T
+        tolerance, ahead_s = self._target.tolerance, self._limits.foresee_s
+        limits = (tolerance.pitch_deg, tolerance.roll_deg, tolerance.yaw_deg)
+        for name, values, limit in zip(("pitch", "roll", "yaw"), axes, limits, strict=True):
+            coming_deg = float(values.mean()) + slope(times, values) * (times[-1] - times.mean() + ahead_s)
+            if abs(coming_deg) > limit:
+                return f"{name} will be off by {coming_deg:+.3g}° in {ahead_s:.2f} s (at most {limit:g}°)"
         return ""
 
     def _rate_deg_s(self, reading: Reading) -> float:
@@ -176,6 +202,11 @@ class SettleTracker:
         return (
             math.sqrt(sum(float(v) ** 2 for v in (turned.across_deg, turned.along_deg, turned.rotation_deg))) / elapsed
         )
+
+
+def _axes(errors: PoseError) -> FloatArray:
+    """Errors of pitch, roll and yaw, (n, 3)."""
+    return np.stack([errors.pitch_deg, errors.roll_deg, errors.yaw_deg], axis=-1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -202,16 +233,21 @@ class WindowVerdict:
 
 
 def judge_window(
-    readings: Iterable[Reading], *, target: Target, start_s: float, end_s: float, max_gap_s: float
+    readings: Iterable[Reading],
+    *,
+    target: Target,
+    start_s: float,
+    end_s: float,
+    max_gap_s: float,
+    heading_lag_s: float = 0.0,
 ) -> WindowVerdict:
     """Judge every reading of an exposure.
 
     The window is verified when a reading lies at most `max_gap_s` before its start, no reading is out of tolerance, and
     no gap between readings exceeds `max_gap_s`: a deviation that lasts longer than that is detected.
 
-    With gaps above `DENSE_GAP_S` the readings must bracket the window, and the error between two of them must be
-    inside tolerance as well: at most the larger of theirs plus half the gap times the angular speed (the larger of the
-    reported ones and the one from reading to reading).
+    The error between two readings must be inside tolerance as well (`unseen_motion`). With gaps above `DENSE_GAP_S` the
+    readings must bracket the window for this.
 
     Args:
         readings: oldest first; those well before or after the window are ignored.
@@ -219,6 +255,7 @@ def judge_window(
         start_s: earliest possible opening of the shutter.
         end_s: latest possible closing of the shutter.
         max_gap_s: longest gap between readings.
+        heading_lag_s: how much older than a reading the heading in it may be; 0 where the gimbal measures its yaw.
     """
     ordered = list(readings)
     before = [r for r in ordered if start_s - max_gap_s <= r.time_s <= start_s][-1:]
@@ -244,8 +281,9 @@ def judge_window(
         elif sparse and not after:
             code = "no_samples"
             reason = f"no attitude sample in the {max_gap_s:g} s after the exposure, and those in it are few"
-        elif sparse and errors is not None:
-            code, reason = _between_samples(judged, errors, target.tolerance)
+        elif errors is not None:
+            reason = unseen_error(judged, errors, target.tolerance, heading_lag_s=heading_lag_s)
+            code = "pointing" if reason else ""
     return WindowVerdict(
         ok=not reason,
         reason=reason,
@@ -259,33 +297,6 @@ def judge_window(
 
 def _widest_gap_s(times_s: list[float]) -> float:
     return max((b - a for a, b in itertools.pairwise(times_s)), default=0.0)
-
-
-def _between_samples(judged: list[Reading], errors: PoseError, tolerance: Tolerance) -> tuple[str, str]:
-    """Code and reason if the pose may be out of tolerance between two readings that are far apart; ("", "") if not."""
-    limits = (tolerance.pitch_deg, tolerance.roll_deg, tolerance.yaw_deg)
-    axes = [np.abs(values) for values in (errors.pitch_deg, errors.roll_deg, errors.yaw_deg)]
-    for i, (a, b) in enumerate(itertools.pairwise(judged)):
-        gap = b.time_s - a.time_s
-        if gap <= DENSE_GAP_S + 1e-6:
-            continue
-        moved = _rotation_deg(a, b)
-        fastest = max([moved / gap, *(r.rate_deg_s for r in (a, b) if math.isfinite(r.rate_deg_s))])
-        margin = fastest * gap / 2
-        for axis, values, limit in zip(("pitch", "roll", "yaw"), axes, limits, strict=True):
-            error = float(max(values[i], values[i + 1])) + margin
-            if error > limit:
-                return "pointing", (
-                    f"{axis} may be off by {error:.3g}° between two samples {gap:.2f} s apart (at most {limit:g}°)"
-                )
-    return "", ""
-
-
-def _rotation_deg(a: Reading, b: Reading) -> float:
-    assert a.rotation is not None
-    assert b.rotation is not None
-    chord = float(np.linalg.norm(a.rotation - b.rotation)) / math.sqrt(8.0)
-    return math.degrees(2 * math.asin(min(chord, 1.0)))
 
 
 def worst_errors(errors: PoseError) -> AxisErrors:

@@ -89,14 +89,34 @@ def test_a_nose_that_sways_out_of_tolerance_and_back_is_caught_in_between() -> N
     assert all(abs(heading - round(heading)) < 0.5 for _, heading in world.vehicle.turns), "swaying is no steady error"
 
 
-def test_what_no_correction_mends_is_missed_with_its_figures() -> None:
-    world = fly(
-        TWO_AXES, lambda w: setattr(w.vehicle, "offset_deg", lambda at_s: 12.0 * math.sin(at_s)), rounds=1, attempts=1
-    )
-    assert world.record.state is S.INCOMPLETE
+async def _calm_after_the_pause(world: World, mission: Mission) -> None:
+    while mission.record.state is not S.PAUSED:
+        await world.clock.sleep(0.1)
+    world.vehicle.offset_deg = lambda _: 0.0
+    mission.commands.resume()
+
+
+@pytest.mark.parametrize(
+    ("offset_deg", "reason"),
+    [
+        (lambda at_s: 12.0 * math.sin(at_s), "the vehicle's heading moves at "),
+        (lambda at_s: 4.0 * math.sin(1.2 * at_s), "the vehicle holds its heading within "),
+    ],
+)
+def test_a_heading_that_is_not_held_pauses_with_its_figures_and_all_shots_are_taken_after_resume(
+    offset_deg: Callable[[float], float], reason: str
+) -> None:
+    def script(world: World, mission: Mission) -> asyncio.Task[None]:
+        return asyncio.create_task(_calm_after_the_pause(world, mission))
+
+    world = fly(TWO_AXES, lambda w: setattr(w.vehicle, "offset_deg", offset_deg), script, rounds=1, attempts=1)
+    (paused,) = world.sink.of(ev.MissionPaused)
+    assert paused.code == "heading"
+    assert paused.reason.startswith(reason)
+    assert "at 4 headings (4 attempts in a row)" in paused.reason
+    assert world.record.state is S.COMPLETE
     reasons = [attempt.reason for shot in world.record.shots.values() for attempt in shot.attempts]
     assert any("yaw off by" in reason for reason in reasons)
-    assert not world.camera.photos
 
 
 def test_auto_the_vehicle_turns_only_where_the_gimbal_does_not_reach() -> None:

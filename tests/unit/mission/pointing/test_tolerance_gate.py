@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +29,8 @@ from panoexec.mission.pointing.tolerance_gate import (
     allowed_gap_s,
     judge_window,
 )
+from panoexec.mission.pointing.unseen_motion import NOISE_STEP_DEG
+from panoexec.planning.geometry.pose_error import pose_error
 from panoexec.planning.model import Tolerance
 from tests.unit.fakes.devices import FakeFeed
 from tests.unit.fakes.virtual import VirtualClock
@@ -303,6 +306,11 @@ def test_at_the_nadir_roll_and_yaw_keep_their_meaning() -> None:
     assert "roll off by +0.2" in tracker.problem
 
 
+def pitch_errors(readings: list[Reading]) -> FloatArray:
+    stacked = np.stack([r.rotation for r in readings if r.rotation is not None])
+    return np.asarray(pose_error(TARGET.pitch_deg, TARGET.yaw_deg, stacked).pitch_deg)
+
+
 def test_yaw_from_north() -> None:
     assert to_north(170.0, 30.0) == pytest.approx(-160.0)
 
@@ -374,6 +382,92 @@ def test_between_reports_far_apart_the_error_is_bounded_by_the_rate() -> None:
     assert reason == "pitch may be off by 0.14° between two samples 0.20 s apart (at most 0.1°)"
     assert _sparse([0.95, 1.15], [0.02, 0.02], [0.0, 0.5])[0]
     assert _sparse([0.95, 1.15], [0.02, 0.02], [0.0, 1.0])[:2] == (False, "pointing"), "it moves at 1°/s"
+
+
+# --- motion that no sample shows
+
+
+def _yaws(motion: Callable[[float], float], phase_s: float, hz: float = 50.0) -> list[Reading]:
+    return [_reading(t, yaw=motion(t)) for t in (0.9 + phase_s + i / hz for i in range(round(0.4 * hz)))]
+
+
+@given(
+    amplitude=st.floats(0.0, 1.0),
+    hz=st.floats(0.1, 20.0),
+    turn=st.floats(-math.pi, math.pi),
+    middle=st.floats(-0.4, 0.4),
+    phase_s=st.floats(0.0, 0.02),
+)
+def test_an_oscillating_yaw_is_never_further_off_than_accepted(
+    amplitude: float, hz: float, turn: float, middle: float, phase_s: float
+) -> None:
+    """By up to 20 Hz at 50 samples a second; what is within the noise of encoders goes unseen."""
+
+    def motion(t: float) -> float:
+        return middle + amplitude * math.sin(math.tau * hz * t + turn)
+
+    if _judge(_yaws(motion, phase_s), 1.0, 1.15)[0]:
+        worst = max(abs(motion(1.0 + 0.15 * i / 300)) for i in range(301))
+        assert worst <= TOLERANCE.yaw_deg + NOISE_STEP_DEG
+
+
+def test_a_shaking_nose_is_not_accepted_by_samples_that_are_all_inside() -> None:
+    """The measured fault: 1.2° at 15.26 Hz, sampled 50 times a second; an accepted photo was 2.13° off at τ = 2°."""
+    target = replace(TARGET, tolerance=replace(TOLERANCE, yaw_deg=2.0))
+    hidden = 0
+    for step in range(100):
+        turn = math.tau * step / 100
+
+        def motion(t: float, turn: float = turn) -> float:
+            return 0.95 + 1.2 * math.sin(math.tau * 15.26 * t + turn)
+
+        readings = _yaws(motion, 0.0)
+        hidden += all(abs(motion(r.time_s)) <= 2.0 for r in readings if 0.98 <= r.time_s <= 1.16)
+        verdict = judge_window(readings, target=target, start_s=1.0, end_s=1.15, max_gap_s=0.1)
+        assert (verdict.ok, verdict.code) == (False, "pointing")
+    assert hidden >= 5
+
+
+def test_noise_of_the_encoders_is_no_motion() -> None:
+    rng = np.random.default_rng(3)
+    noisy = [_reading(r.time_s, pitch=float(rng.normal(0.04, 0.017))) for r in _stream()]
+    inside = all(abs(float(e)) <= 0.1 for e in pitch_errors(noisy))
+    assert inside
+    assert _judge(noisy)[0]
+
+
+def test_a_heading_of_another_time_is_off_by_what_the_vehicle_turned_in_between() -> None:
+    turning = [_reading(r.time_s, yaw=0.4 + 4.0 * (r.time_s - 1.2)) for r in _stream()]  # 0.4° at the end, at 4°/s
+    for lag_s, ok in ((0.0, True), (0.02, True), (0.03, False)):
+        verdict = judge_window(turning, target=TARGET, start_s=1.0, end_s=1.2, max_gap_s=0.1, heading_lag_s=lag_s)
+        assert verdict.ok is ok, verdict.reason
+    assert verdict.reason == "yaw may be off by 0.52° between two samples 0.02 s apart (at most 0.5°)"
+
+
+# --- a pose that never comes to rest
+
+FORESEEING = SettleLimits(settle_s=0.1, max_rate_deg_s=5.0, max_gap_s=0.1, foresee_s=0.2, use_reported_rate=False)
+
+
+def test_a_sway_is_settled_where_it_stays_inside_for_the_exposure_and_not_where_it_leaves() -> None:
+    def sway(t: float) -> float:
+        return 0.7 * math.sin(math.tau * t / 3.0)  # beyond τ = 0.5 at its ends, 1.5°/s in its middle
+
+    readings = [_reading(0.02 * i, yaw=sway(0.02 * i), rate=math.nan) for i in range(600)]
+    tracker = SettleTracker(target=TARGET, limits=FORESEEING)
+    settled = []
+    for reading in readings:
+        tracker.add(reading)
+        if tracker.is_settled(reading.time_s):
+            settled.append(reading.time_s)
+    assert settled
+    for at_s in settled:
+        worst = max(abs(sway(at_s + 0.2 * i / 20)) for i in range(21))
+        assert worst <= 0.5 + 0.03
+    assert 0.2 < len(settled) / len(readings) < 0.5
+    leaving = SettleTracker(target=TARGET, limits=FORESEEING)
+    leaving.add(*[reading for reading in readings if reading.time_s <= 0.25])
+    assert leaving.problem == "yaw will be off by +0.623° in 0.20 s (at most 0.5°)"
 
 
 @pytest.mark.parametrize(
