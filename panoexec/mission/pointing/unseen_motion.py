@@ -41,7 +41,7 @@ def unseen_error(
       from reading to reading);
     * else half of the largest difference between two neighbours (a nose that shakes at 15 Hz shows 50 readings a second
       with differences of its amplitude, and its peaks are between them); differences within `NOISE_STEP_DEG` count 0;
-    * and `heading_lag_s` times the mean speed of the axis.
+    * and in yaw `heading_lag_s` times its mean speed.
 
     Args:
         judged: of the exposure and beside it, oldest first, all with a rotation.
@@ -59,7 +59,7 @@ def unseen_error(
     ]
     for name, values, limit in zip(_AXES, axes, limits, strict=True):
         shaken_deg = _largest_step_deg(values, dense) / 2
-        lagging_deg = heading_lag_s * abs(slope(times, values))
+        lagging_deg = heading_lag_s * abs(slope(times, values)) if name == "yaw" else 0.0
         for i, gap in enumerate(gaps):
             margin = (shaken_deg if dense[i] else sparse_deg[i]) + lagging_deg
             error = float(max(abs(values[i]), abs(values[i + 1]))) + margin
