@@ -64,6 +64,9 @@ FAULTS: dict[str, Fault] = {
     ),
     "attitude-stop": Fault(kind=Kind.SPAN, text="no gimbal attitude is sent"),
     "attitude-frozen": Fault(kind=Kind.SPAN, text="the gimbal repeats its last attitude with fresh time stamps"),
+    "attitude-late": Fault(
+        kind=Kind.SPAN, text="the gimbal's attitudes are held up on their way by the size", size=3.0, unit="s"
+    ),
     "attitude-nan": Fault(kind=Kind.SPAN, text="the gimbal's attitude is NaN"),
     "gimbal-stuck": Fault(kind=Kind.SPAN, text="the motors do not move, commands are accepted"),
     "gimbal-slow": Fault(

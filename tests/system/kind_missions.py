@@ -36,6 +36,7 @@ FAULT_ENDS: Final[Mapping[str, str]] = {
     "reboot=4": "failed",
     "attitude-stop=3+4": "complete",
     "attitude-frozen=3+4": "complete",
+    "attitude-late=3+8": "complete",
     "attitude-nan=3+4": "complete",
     "gimbal-stuck=3+6": "complete",
     "gimbal-slow=3+10": "complete",

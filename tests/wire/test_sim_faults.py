@@ -96,6 +96,27 @@ def test_attitude_freezes_with_fresh_stamps() -> None:
 
 
 @pytest.mark.parametrize("component", [1, 154])
+def test_attitudes_are_held_up_and_come_in_time_again(component: int) -> None:
+    bench = Bench("attitude-late=1+6,x2")
+
+    def ages_s(seconds: float) -> list[float]:
+        heard = bench.peer.listen(seconds)
+        newest_ms = max(item.message.time_boot_ms for item in heard if item.name == "ATTITUDE")
+        told = [item.message for item in heard if item.name == STATUS and item.component == component]
+        return [(newest_ms - message.time_boot_ms) / 1000 for message in told]
+
+    bench.shoot(1.05)
+    assert ages_s(1.9) == []
+    held_up = ages_s(1.0)
+    assert len(held_up) >= 45
+    assert min(held_up) >= 1.9
+    bench.peer.listen(4.0)
+    in_time = ages_s(1.0)
+    assert len(in_time) >= 45
+    assert min(in_time) <= 0.3, "the gimbal has a boot time of its own"
+
+
+@pytest.mark.parametrize("component", [1, 154])
 def test_attitude_is_nan(component: int) -> None:
     bench = Bench("attitude-nan=1+4")
     bench.shoot(1.1)

@@ -12,6 +12,7 @@ from panoexec.sim.faults import Faults
 from panoexec.sim.mavlink.component import NAN, Command, Component, bitmask, command_of
 from panoexec.sim.mavlink.dialect import mavlink
 from panoexec.sim.mavlink.gimbal_beside import own_manager
+from panoexec.sim.mavlink.held_up import HeldUp
 from panoexec.sim.mavlink.mount_reports import stepped
 from panoexec.sim.mavlink.wire import Link, Message, Sender
 from panoexec.sim.physics.gimbal import Angles, GimbalPhysics, Rates, Target, angles_of, body_rates, quaternion
@@ -74,6 +75,7 @@ class GimbalComponent:
         self._manager = own_manager(
             config, component=self._component, physics=physics, timeline=timeline, obey=self._obey
         )
+        self._held_up = HeldUp(faults)
         self._frozen: Angles | None = None
         self._frozen_nose_deg = 0.0
 
@@ -171,8 +173,10 @@ class GimbalComponent:
             self.physics.command(Target(yaw_lock=lock, rates=Rates(yaw_s, roll_s, pitch_s)))
 
     def _stream_attitude(self) -> None:
-        if not self._faults.active("attitude-stop", self._timeline.now_s):
-            self._component.send(self.attitude_status())
+        now_s = self._timeline.now_s
+        message = self._held_up.passed(self.attitude_status(), now_s)
+        if message is not None and not self._faults.active("attitude-stop", now_s):
+            self._component.send(message)
 
     def _boot_ms(self) -> int:
         return max(0, round((self._timeline.now_s - self._boot_s) * 1000))

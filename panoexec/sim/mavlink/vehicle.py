@@ -14,6 +14,7 @@ from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import Faults
 from panoexec.sim.mavlink.component import Command, Component, command_of
 from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.mavlink.held_up import HeldUp
 from panoexec.sim.mavlink.manager import GimbalManager
 from panoexec.sim.mavlink.modes import FlightModes
 from panoexec.sim.mavlink.parameters import Parameters
@@ -128,10 +129,12 @@ class Vehicle:
         return Component(timeline=self._timeline, sender=self._sender, link=gate, heartbeat=self._telemetry.heartbeat)
 
     def _gimbal_builders(self) -> dict[int, Callable[[], Message | None]]:
+        held_up = HeldUp(self._faults)
+
         def attitude() -> Message | None:
             if self._faults.active("attitude-stop", self._timeline.now_s):
                 return None
-            return self.manager.attitude_status()
+            return held_up.passed(self.manager.attitude_status(), self._timeline.now_s)
 
         return {
             mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION: self._manager_information,

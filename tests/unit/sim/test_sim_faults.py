@@ -14,6 +14,7 @@ ISSUE_NAMES = {
     "reboot",
     "attitude-stop",
     "attitude-frozen",
+    "attitude-late",
     "attitude-nan",
     "gimbal-stuck",
     "gimbal-slow",
