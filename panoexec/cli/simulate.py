@@ -89,6 +89,9 @@ def _how_to_connect(config: SimConfig, connect: str) -> list[str]:
         )
     else:
         lines.append(f'MAVSDK, `panoexec serve`: connection = "{connect}"; ground station: listen on UDP {ports}')
+    if config.camera_link == "gphoto2":
+        at = "" if config.camera_port == 15740 else f":{config.camera_port}:{config.camera_port}"
+        lines.append(f'camera: [camera] trigger = "gphoto2", port = "ptpip:127.0.0.1{at}"')
     if config.output is None:
         lines.append("photos are taken but not written; --output DIR writes them")
     return lines

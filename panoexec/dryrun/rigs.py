@@ -37,6 +37,7 @@ class Rig:
         system_id: MAVLink system id of the vehicle; None if it is not known.
         must_fly: it is on the ground and must be armed, flown and landed by the dry-run.
         may_stand: it is not controlled by the dry-run; a mission may be run on it on the ground.
+        camera: `[camera] port` of a tethered camera; "" for a camera on MAVLink.
         allow: sets the limits of its time, for `Lockstep`; None: its time cannot be controlled.
         may_slow: its speed-up can be changed (`SIM_SPEEDUP`).
         about: description for the manifest.
@@ -46,6 +47,7 @@ class Rig:
     system_id: int | None = None
     must_fly: bool = False
     may_stand: bool = False
+    camera: str = ""
     allow: Allow | None = None
     may_slow: bool = False
     about: dict[str, Any]
@@ -101,7 +103,13 @@ class EmbeddedVehicle:
         about = {"autopilot": config.autopilot, "simulated": "embedded", "seed": config.seed}
         async with running_simulator(config, note=note, paced=True) as simulator, _watching(_watch(simulator)):
             connection = f"udpin://{HOST}:{port}"
-            yield Rig(connection=connection, system_id=SIMULATED_SYSTEM, allow=simulator.allow, about=about)
+            yield Rig(
+                connection=connection,
+                system_id=SIMULATED_SYSTEM,
+                camera=simulator.ready.get("camera") or "",
+                allow=simulator.allow,
+                about=about,
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,6 +172,7 @@ class SitlVehicle:
                 connection=f"udpin://{HOST}:{ground_port}",
                 system_id=SIMULATED_SYSTEM,
                 must_fly=True,
+                camera=simulator.ready.get("camera") or "",
                 may_slow=firmware.may_slow,
                 about=about,
             )
@@ -212,7 +221,8 @@ class ConnectedVehicle:
             return
         payload = replace(self.simulation, output=images)
         async with running_simulator(payload, note=note) as simulator, _watching(_watch(simulator)):
-            yield replace(rig, about=rig.about | {"simulated": "payload", "seed": payload.seed})
+            camera = simulator.ready.get("camera") or ""
+            yield replace(rig, camera=camera, about=rig.about | {"simulated": "payload", "seed": payload.seed})
 
 
 def check_payload_only(simulation: SimConfig, *, option: str) -> None:

@@ -15,6 +15,7 @@ GimbalBeside: TypeAlias = Literal["none", "manager", "only-manager", "second", "
 CameraKind: TypeAlias = Literal["mavlink", "servo", "px4-trigger"]
 CameraFiles: TypeAlias = Literal["folder", "http", "mftp"]
 SceneKind: TypeAlias = Literal["city", "lake", "snow", "night"]
+CameraLink: TypeAlias = Literal["mavlink", "gphoto2"]
 CameraBeside: TypeAlias = Literal["none", "streamer", "camera"]
 
 SCENE_KINDS: tuple[SceneKind, ...] = ("city", "lake", "snow", "night")
@@ -234,6 +235,8 @@ class SimConfig:
         camera_kind: `mavlink`: component 100 with its own messages; `servo`: a trigger on the autopilot (component 1)
             whose only evidence is CAMERA_FEEDBACK; `px4-trigger`: PX4's own trigger on an output, by
             MAV_CMD_DO_DIGICAM_CONTROL.
+        camera_link: how the camera is reached: by MAVLink, or by `gphoto2`, as one that speaks PTP/IP on the network.
+        camera_port: TCP port of the latter; 0: any free one.
         camera_beside: what there is beside the camera, as component 100, which makes the camera 101: a `streamer` of
             video that takes no photos, or another `camera`; only with `camera_kind` `mavlink`.
         scene: equirectangular image to photograph; None for the procedural one.
@@ -256,6 +259,8 @@ class SimConfig:
     mount_told: bool = True
     gimbal_beside: GimbalBeside = "none"
     camera_kind: CameraKind = "mavlink"
+    camera_link: CameraLink = "mavlink"
+    camera_port: int = 15740
     camera_beside: CameraBeside = "none"
     scene: Path | None = None
     scene_kind: SceneKind = "city"

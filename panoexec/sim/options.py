@@ -56,6 +56,13 @@ def add_link_arguments(parser: argparse.ArgumentParser) -> None:
     link.add_argument("--host", default="127.0.0.1", help="host of that port (127.0.0.1)")
     link.add_argument("--listen", action="store_true", help="wait for a client on the port instead of sending to it")
     link.add_argument(
+        "--camera-port",
+        type=int,
+        default=15740,
+        metavar="N",
+        help="TCP port of the camera with --camera-link gphoto2 (15740)",
+    )
+    link.add_argument(
         "--attach",
         metavar="URL",
         help="simulate only the payload, attached to a real autopilot: tcp:HOST:PORT, udpout:…, udpin:…",
@@ -93,6 +100,12 @@ def add_vehicle_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         default="",
         help="camera as it is sold or wired: " + ", ".join(CAMERA_KINDS) + "; `help` explains them",
+    )
+    vehicle.add_argument(
+        "--camera-link",
+        choices=("mavlink", "gphoto2"),
+        default="mavlink",
+        help="how the camera is reached: MAVLink, or gphoto2: a tethered camera (PTP/IP) that hands over its photos",
     )
     vehicle.add_argument("--wind", type=float, metavar="M_S", help="steady wind in m/s (2)")
     world = parser.add_argument_group("simulated world")
@@ -144,6 +157,8 @@ def config_of(args: argparse.Namespace, camera: CameraConfig | None = None) -> S
         autopilot=args.autopilot,
         mount=args.mount,
         camera_kind=args.trigger,
+        camera_link=args.camera_link,
+        camera_port=_within(getattr(args, "camera_port", 0), 0, 65535, "--camera-port"),
         scene=args.scene,
         scene_kind=args.scene_kind,
         seed=args.seed,
@@ -153,6 +168,8 @@ def config_of(args: argparse.Namespace, camera: CameraConfig | None = None) -> S
         attach_url=args.attach,
         camera=camera or CameraConfig(),
     )
+    if config.camera_link == "gphoto2" and config.camera_kind != "mavlink":
+        raise UsageError("--camera-link gphoto2: the camera is tethered and has no --trigger servo")
     if args.gimbal_kind:
         config = with_gimbal_kind(config, args.gimbal_kind)
     if args.camera_kind:

@@ -25,7 +25,10 @@ from panoexec.sim.photos.file_server import serving_photos
 from panoexec.sim.physics.following import AHEAD_S, SILENT_S, AutopilotTime
 from panoexec.sim.physics.world import SimClock, TruthLog
 from panoexec.sim.simulation import Simulation
+from panoexec.sim.tethered.ptpip import PtpIpServer
 
+CAMERA_HOST = "127.0.0.1"
+"""Where a tethered camera listens."""
 _IDLE_S = 0.001
 _DRAIN_S = 60.0
 _BEHIND_S = 0.5
@@ -39,9 +42,15 @@ _CATCH_UP_S = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ready:
-    """The vehicle is ready: how to connect to it."""
+    """The vehicle is ready: how to connect to it.
+
+    Attributes:
+        config: the vehicle.
+        camera_port: TCP port of a tethered camera, 0 without one.
+    """
 
     config: SimConfig
+    camera_port: int = 0
 
     @property
     def port(self) -> int:
@@ -66,6 +75,7 @@ class Ready:
             "system_id": c.system_id,
             "speedup": c.speedup,
             "seed": c.seed,
+            "camera": f"ptpip:127.0.0.1:{self.camera_port}:{self.camera_port}" if self.camera_port else None,
             "output": str(c.output.absolute()) if c.output else None,
         }
 
@@ -157,7 +167,8 @@ class Server:
                         develop=darkroom.develop if darkroom else None,
                         file_url=file_url,
                     )
-                    return await self._serve(simulation, outlet, darkroom)
+                    async with self._tethered(simulation, darkroom) as camera_port:
+                        return await self._serve(simulation, outlet, darkroom, camera_port)
             finally:
                 outlet.link.close()
                 truth.close()
@@ -177,10 +188,33 @@ class Server:
             stopping.cancel()
             await asyncio.gather(opening, stopping, return_exceptions=True)
 
-    async def _serve(self, simulation: Simulation, outlet: Outlet, darkroom: Darkroom | None) -> Summary:
+    @contextlib.asynccontextmanager
+    async def _tethered(self, simulation: Simulation, darkroom: Darkroom | None) -> AsyncIterator[int]:
+        """Serve the tethered camera; its port, 0 without one."""
+        shutter = simulation.tethered
+        if shutter is None or darkroom is None:
+            yield 0
+            return
+
+        def arrived(_operation: int) -> None:
+            # an operation is carried out at its time of arrival, not at the last advance
+            if self._limits is None:
+                simulation.advance(simulation.clock.now())
+
+        server = PtpIpServer(shutter.responder, on_operation=arrived)
+        port = await server.start(CAMERA_HOST, self._config.camera_port)
+        shutter.tell, darkroom.on_written = server.tell, shutter.written
+        try:
+            yield port
+        finally:
+            await server.stop()
+
+    async def _serve(
+        self, simulation: Simulation, outlet: Outlet, darkroom: Darkroom | None, camera_port: int
+    ) -> Summary:
         self._use_link(outlet.link, simulation)
         simulation.start()
-        self._on_ready(Ready(config=self._config))
+        self._on_ready(Ready(config=self._config, camera_port=camera_port))
         async with asyncio.TaskGroup() as tasks:
             developing = tasks.create_task(darkroom.run(), name="darkroom") if darkroom else None
             advance = self._advance_with_wall if self._limits is None else self._advance_paced
@@ -357,6 +391,8 @@ def _open_truth(config: SimConfig) -> TruthLog:
 async def _darkroom(config: SimConfig) -> AsyncIterator[Darkroom | None]:
     """The renderer process, if photos are written."""
     if config.output is None:
+        if config.camera_link == "gphoto2":
+            raise UsageError("--camera-link gphoto2 needs --output: without a directory there are no photos to hand over")
         if config.scene is not None:
             raise UsageError("--scene needs --output: without a directory no photos are written")
         yield None

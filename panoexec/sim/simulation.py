@@ -22,6 +22,7 @@ from panoexec.sim.physics.airframe import Airframe
 from panoexec.sim.physics.camera import Exposure
 from panoexec.sim.physics.gimbal import GimbalPhysics, quaternion
 from panoexec.sim.physics.world import Repeater, SimClock, Timeline, TruthLog
+from panoexec.sim.tethered.shutter import Settings, TetheredShutter
 
 _CHUNK_S = 0.02
 """Longest wall time between two polls of the sockets."""
@@ -74,6 +75,16 @@ class Simulation:
         else:
             self.payload = self._make_payload(link)
             self.receiver = self.payload.receive
+        self.tethered: TetheredShutter | None = None
+        if config.camera_link == "gphoto2":
+            self.tethered = TetheredShutter(
+                config,
+                clock=clock,
+                timeline=self.timeline,
+                physics=self.physics,
+                faults=self.faults,
+                develop=self._develop_with,
+            )
         self.physics.start_at(self._heading())
         Repeater(self.timeline, self._apply_faults).start(_FAULT_S)
 
@@ -119,10 +130,12 @@ class Simulation:
             self.vehicle.start()
             if self.config.mount == "mavlink":
                 self.payload.start_gimbals()
-            if self.config.camera_kind == "mavlink":
+            if self.config.camera_kind == "mavlink" and self.tethered is None:
                 self.payload.start_camera()
-        else:
+        elif self.tethered is None:
             self.payload.start()
+        else:
+            self.payload.start_gimbals()
 
     @property
     def photos(self) -> int:
@@ -172,6 +185,8 @@ class Simulation:
         self.physics.wind_m_s = self.airframe.wind_m_s = wind
         full = faults.active("storage-full", now)
         self.payload.camera.set_storage_full(full=full)
+        if self.tethered is not None:
+            self.tethered.model.storage_full = full
         if faults.fires("clock-jump", now):
             self.clock.jump_s += faults.size("clock-jump")
         if faults.fires("battery-low", now):
@@ -188,8 +203,12 @@ class Simulation:
                 vehicle.return_to_launch()
             vehicle.lose_gps(lost=faults.active("gps-lost", now))
 
-    def _develop(self, exposure: Exposure, fix: Fix | None) -> str:
+    def _develop_with(self, exposure: Exposure, settings: Settings) -> str:
+        return self._develop(exposure, self.payload.camera.fix, settings)
+
+    def _develop(self, exposure: Exposure, fix: Fix | None, settings: Settings | None = None) -> str:
         """Queue a photo for rendering and log its true attitude; returns the file's URL."""
+        settings = settings or Settings(exposure_s=self.config.camera.exposure_s)
         output = self.config.output
         self._photos += 1
         # not by the index, which a camera that restarts uses twice
@@ -223,7 +242,10 @@ class Simulation:
                 truth_deg=tuple((a.yaw_deg, a.roll_deg, a.pitch_deg) for a in exposure.truth),
                 q_wxyz=quaternion(exposure.measured),
                 time_utc_s=self.clock.utc(exposure.start_s),
-                exposure_s=self.config.camera.exposure_s,
+                exposure_s=settings.exposure_s,
+                f_number=settings.f_number,
+                iso=settings.iso,
+                manual_white_balance=settings.manual_white_balance,
                 position=None
                 if fix is None
                 else (fix.latitude_deg, fix.longitude_deg, fix.altitude_m, fix.relative_altitude_m),

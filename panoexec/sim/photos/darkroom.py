@@ -14,6 +14,7 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,7 @@ class ExposedPhoto:
         flight_yaw_deg: the vehicle's heading, None if unknown.
         spoils: (fault, size, seed) of what spoils picture or file (`panoexec.sim.photos.spoiling`).
         is_stale: the file is the previous one's again.
+        f_number, iso, manual_white_balance: further settings, for the JPEG's metadata.
     """
 
     path: str
@@ -51,6 +53,9 @@ class ExposedPhoto:
     flight_yaw_deg: float | None
     spoils: tuple[tuple[str, float, int], ...] = ()
     is_stale: bool = False
+    f_number: float = 5.6
+    iso: int = 100
+    manual_white_balance: bool = False
 
 
 class Darkroom:
@@ -60,6 +65,7 @@ class Darkroom:
         written: photos on disk.
         pending: photos not yet on disk.
         failures: error messages, one line each.
+        on_written: called with the path of each photo that is on disk.
     """
 
     def __init__(
@@ -78,6 +84,7 @@ class Darkroom:
         self.written = 0
         self.pending = 0
         self.failures: list[str] = []
+        self.on_written: Callable[[str], None] = lambda _: None
 
     async def start(self) -> None:
         """Start the worker; wait for it only if the scene is a file, which may be invalid.
@@ -132,6 +139,7 @@ class Darkroom:
                 self.failures.append(error)
             else:
                 self.written += 1
+                self.on_written(result["path"])
             self.pending -= 1
             if self.pending <= 0:
                 self._idle.set()
@@ -231,6 +239,9 @@ def _develop(renderer: Any, camera: Camera, width_px: int, job: dict[str, Any], 
         else None,
         flight_yaw_deg=job["flight_yaw_deg"],
         model=camera.name,
+        f_number=job["f_number"],
+        iso=job["iso"],
+        manual_white_balance=job["manual_white_balance"],
     )
     image = renderer.render(camera, poses, width_px)
     for fault, size, seed in job["spoils"]:

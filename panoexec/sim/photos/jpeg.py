@@ -40,6 +40,9 @@ class PhotoMetadata:
         flight_yaw_deg: the aircraft's true heading, None if not known.
         make: the camera's maker.
         model: the camera's model.
+        f_number: aperture.
+        iso: sensitivity.
+        manual_white_balance: not chosen by the camera.
     """
 
     time_utc_s: float
@@ -51,6 +54,9 @@ class PhotoMetadata:
     flight_yaw_deg: float | None = None
     make: str = "panoexec"
     model: str = "simulated camera"
+    f_number: float = 5.6
+    iso: int = 100
+    manual_white_balance: bool = False
 
 
 def jpeg_bytes(image: Image, metadata: PhotoMetadata, *, quality: int = 90) -> bytes:
@@ -110,8 +116,9 @@ def _exif(metadata: PhotoMetadata, yaw_deg: float, shape: tuple[int, ...]) -> PI
             base.ExifVersion: b"0232",
             base.FlashPixVersion: b"0100",
             base.ExposureTime: _rational(metadata.exposure_s, 1_000_000),
-            base.FNumber: _rational(5.6, 10),
-            base.ISOSpeedRatings: 100,
+            base.FNumber: _rational(metadata.f_number, 10),
+            base.ISOSpeedRatings: metadata.iso,
+            base.WhiteBalance: int(metadata.manual_white_balance),
             base.DateTimeOriginal: stamp,
             base.SubsecTimeOriginal: fraction,
             base.OffsetTimeOriginal: "+00:00",
