@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
-from pathlib import Path
-from typing import Protocol, TypeAlias, runtime_checkable
+from typing import Protocol, TypeAlias
 
 from panoexec.planning.model import GimbalLimits
 
@@ -173,40 +172,6 @@ class Camera(Protocol):
     @property
     def storage_free_images(self) -> float:
         """How many more photos the storage holds; infinity if unknown."""
-        ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TakenFile:
-    """The file of a photo, copied from the camera to this computer, whole and on disk.
-
-    Attributes:
-        told: its path in the camera, which is what the evidence of the photo names.
-        also: paths of the same photo in the camera, this one included: a RAW file and its JPEG.
-        path: where it is; whoever takes it moves it away.
-        size_bytes: as the camera tells it, and as it is.
-        sha256: of its content, 64 hexadecimal digits.
-        transfer_s: how long the camera took to send it, real seconds.
-    """
-
-    told: str
-    also: tuple[str, ...] = ()
-    path: Path
-    size_bytes: int
-    sha256: str
-    transfer_s: float = 0.0
-
-
-@runtime_checkable
-class HandsOverFiles(Protocol):
-    """A camera whose photos are copied to this computer as they are taken."""
-
-    async def next_file(self) -> TakenFile:
-        """The next file that arrived; has no timeout of its own."""
-        ...
-
-    async def ask_for_file(self, told: str) -> bool:
-        """Have the file of an earlier photo copied (again); False if the camera has none of that name."""
         ...
 
 

@@ -28,6 +28,7 @@ class CameraFiles:
             vehicle: whose camera it is.
         """
         self._config = config
+        self._vehicle = vehicle
         self._http = HttpFiles(lambda: vehicle.file_hosts)
         self._ftp = MavlinkFtpFiles(
             lambda: None if vehicle.linked is None else vehicle.linked.link,
@@ -38,7 +39,9 @@ class CameraFiles:
 
     def fetchers(self) -> tuple[PhotoFetcher, ...]:
         """One of each way."""
-        return (LocalFiles(file_folders(self._config())), self._http, self._ftp)
+        camera = self._vehicle.camera
+        tethered = (camera,) if isinstance(camera, PhotoFetcher) else ()
+        return (LocalFiles(file_folders(self._config())), self._http, self._ftp, *tethered)
 
     async def close(self) -> None:
         """End what runs; it is started again when it is needed."""

@@ -27,13 +27,20 @@ from panoexec.mission.ideal_duration import ideal_step_durations_s
 from panoexec.mission.log.events import AxisErrors, Event
 from panoexec.mission.log.record import MissionRecord, Verdict
 from panoexec.mission.pointing.poses import pose_of, read_pose
+from panoexec.mission.protocols import PhotoFetcher
 from panoexec.mission.settings import MissionSettings
 from panoexec.planning.model import Certificate, Plan, Shot
 from panoexec.report.mission_outputs import write_mission_outputs
 from panoexec.sim import settings as sim_settings
 from panoexec.sim.config import SimConfig
 from panoexec.store.directory import discard_mission_directory, existing_mission_directory
+from panoexec.store.landed_mission import LandedMission
+from panoexec.store.photo_collector import PhotoCollector
+from panoexec.store.rebuilding import restore_manifest
 from panoexec.store.session import Devices, MissionSession, StoredMission, create_mission, open_mission
+
+CARD = "camera"
+"""Folder of a mission directory for the card of a simulated camera that hands over its photos."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -251,7 +258,12 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
     note: Callable[[str], None],
 ) -> DryRunSummary:
     clock = vehicle.clock()
-    output = stored.directory.images if images else None
+    tethered = simulation.camera_link == "gphoto2"
+    if tethered and not images:
+        raise UsageError("--no-images: a camera with --camera-link gphoto2 hands over its photos, so it needs some")
+    output = None
+    if images:
+        output = stored.directory.path / CARD if tethered else stored.directory.images
     try:
         async with devices_on(vehicle, images=output, clock=clock, note=note) as (devices, rig):
             opened = MissionSession.opened(
@@ -262,6 +274,7 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
                 vehicle=rig.about,
                 reference=reference,
                 settings=settings_on(rig, devices, stored.settings, note),
+                fetchers=[devices.camera] if isinstance(devices.camera, PhotoFetcher) else [],
             )
             async with opened as session:
                 on_mission(session.mission)
@@ -270,6 +283,8 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
                 start = None if before is None else (before[0], before[1] - record.reference_yaw_north_deg)
                 duration_s, certificate = session.mission.shooting_s, session.mission.certificate
                 turns, turning = session.mission.turns, session.mission.turning
+            if isinstance(devices.camera, PhotoFetcher):
+                await _bring_the_rest(stored, devices.camera)
     except BaseException:
         await stored.journal.close()
         # write the outputs of an interrupted mission, but report the original error
@@ -288,6 +303,23 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
     limit_s = sum(steps_s)
     summary = summarise(stored, record, duration_s=duration_s, limit_s=limit_s, certificate=certificate)
     return replace(summary, vehicle=rig.about, turns=turns, report=stored.directory.report)
+
+
+async def _bring_the_rest(stored: StoredMission, camera: PhotoFetcher) -> None:
+    """Bring the photos that were still in the camera when the mission ended."""
+    landed = await asyncio.to_thread(LandedMission.read, stored.directory)
+    flown = landed.record.seq
+    try:
+        collector = PhotoCollector(stored.directory.path, record=landed.record, store=landed.photos, fetchers=[camera])
+
+        async def keep() -> None:
+            await landed.flush()
+
+        await collector.run_until_done(keep)
+        if landed.record.seq > flown:
+            await asyncio.to_thread(restore_manifest, stored.directory)
+    finally:
+        landed.close()
 
 
 def _shots_flown(record: MissionRecord, *, since_utc_s: float) -> tuple[Shot, ...]:

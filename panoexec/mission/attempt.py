@@ -31,7 +31,7 @@ from panoexec.mission.pointing.tolerance_gate import (
 )
 from panoexec.mission.pointing.unseen_motion import HEADING_LAG_S
 from panoexec.mission.preflight import gimbal_limits
-from panoexec.mission.protocols import MayFireLate, PacesPhotos, PhotoRecall
+from panoexec.mission.protocols import MayFireLate, PacesPhotos, PhotoRecall, ReportsUndated
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.settle_wait import SettleWait
 from panoexec.mission.waiting import until, within
@@ -327,6 +327,8 @@ class Shooter:
             fired_s: when its trigger was carried out.
         """
         bound_s = self.lag.bound_s + self.settings.exposure_s
+        if isinstance(self.camera, ReportsUndated):
+            bound_s = max(bound_s, self.camera.undated_hold_s)
         latest_s = fired_s + bound_s
         try:
             found = await capture.evidence(EvidenceLevel.FEEDBACK_PIN, latest_s - capture.commanded_s)

@@ -74,6 +74,16 @@ class ReportsPhotos(Protocol):
 
 
 @runtime_checkable
+class ReportsUndated(Protocol):
+    """A camera whose reports have no time: a photo was exposed at any time between its trigger and its report."""
+
+    @property
+    def undated_hold_s(self) -> float:
+        """How long nothing may move after a trigger, unless the report comes sooner."""
+        ...
+
+
+@runtime_checkable
 class MayFireLate(Protocol):
     """A trigger that may be carried out later than it was acknowledged: an autopilot or a camera may defer it."""
 
@@ -136,6 +146,7 @@ class PhotoRecall(Protocol):
         ...
 
 
+@runtime_checkable
 class PhotoFetcher(Protocol):
     """Brings the files of a camera to this computer."""
 

@@ -203,7 +203,13 @@ class Server:
 
         server = PtpIpServer(shutter.responder, on_operation=arrived)
         port = await server.start(CAMERA_HOST, self._config.camera_port)
-        shutter.tell, darkroom.on_written = server.tell, shutter.written
+
+        def written(path: str) -> None:
+            shutter.written(path)
+            if self._limits is not None:
+                self._limits.changed.set()  # simulated time may go on
+
+        shutter.tell, darkroom.on_written = server.tell, written
         try:
             yield port
         finally:
@@ -277,11 +283,12 @@ class Server:
         if self._autopilot is None:
             outlet.timeline = timeline
         while True:
-            simulation.advance(min(clock.now(), limits.until_s))
+            simulation.advance(min(clock.now(), limits.until_s, simulation.hold_s))
             outlet.tell_time()
             outlet.link.flush()
-            held = timeline.now_s >= limits.until_s
-            wait_s: float | None = max(0.0, clock.wall_delay(min(simulation.next_s, limits.until_s)))
+            until_s = min(limits.until_s, simulation.hold_s)
+            held = timeline.now_s >= until_s
+            wait_s: float | None = max(0.0, clock.wall_delay(min(simulation.next_s, until_s)))
             if held:
                 wait_s = None if self._autopilot is None else SILENT_S
             if wait_s == 0:
@@ -392,7 +399,7 @@ async def _darkroom(config: SimConfig) -> AsyncIterator[Darkroom | None]:
     """The renderer process, if photos are written."""
     if config.output is None:
         if config.camera_link == "gphoto2":
-            raise UsageError("--camera-link gphoto2 needs --output: without a directory there are no photos to hand over")
+            raise UsageError("--camera-link gphoto2 needs --output: without a directory there are no photos")
         if config.scene is not None:
             raise UsageError("--scene needs --output: without a directory no photos are written")
         yield None
@@ -405,7 +412,8 @@ async def _darkroom(config: SimConfig) -> AsyncIterator[Darkroom | None]:
         seed=config.seed,
         scene_kind=config.scene_kind,
     )
-    await darkroom.start()
+    # a tethered camera hands over its first photo at once
+    await darkroom.start(wait=config.camera_link == "gphoto2")
     try:
         yield darkroom
     finally:

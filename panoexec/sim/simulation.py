@@ -138,6 +138,11 @@ class Simulation:
             self.payload.start_gimbals()
 
     @property
+    def hold_s(self) -> float:
+        """Simulated time that must not pass yet, where a parent sets the pace: a photo is being rendered."""
+        return math.inf if self.tethered is None else self.tethered.hold_s
+
+    @property
     def photos(self) -> int:
         """Exposures made so far."""
         return self._photos

@@ -7,9 +7,11 @@ import random
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from panoexec.adapters.camera.tethered.camera import Patience, TetheredCamera
+from panoexec.adapters.camera.tethered.camera import TetheredCamera
+from panoexec.adapters.camera.tethered.files import TakenFile
+from panoexec.adapters.camera.tethered.patience import Patience
 from panoexec.clock import SystemClock
-from panoexec.devices import EvidenceLevel, TakenFile
+from panoexec.devices import EvidenceLevel
 from panoexec.errors import DeviceError
 from tests.support.tethered import TestCamera, tethered_camera
 from tests.waiting import eventually
@@ -52,21 +54,15 @@ async def run_campaign(
     ):
         await camera.discover(30)
 
-        async def take() -> None:
-            while True:
-                taken = await camera.next_file()
-                assert taken.told not in result.files
-                result.files[taken.told] = taken
-
         async with asyncio.TaskGroup() as group:
-            taking = group.create_task(take())
             for shot in range(captures):
                 if fault := faults.get(shot):
                     group.create_task(_strike(sim, fault, stall_s, draw.choice((0.0, 0.01, 0.03))))
                     await asyncio.sleep(0.005)
                 await _shoot(camera, sim, shot, result, patience)
-            await eventually(lambda: not camera.files.pending and len(result.files) == len(sim.shown))
-            taking.cancel()
+            await eventually(lambda: not camera.files.pending)
+        result.files = {taken.told: taken for taken in camera.files.arrived}
+        assert len(result.files) == len(camera.files.arrived)
         result.surplus, result.restarts = camera.surplus_photos, camera.restarts
     result.on_card, result.lost_events = len(sim.shown), sim.lost_events
     result.wrong = [

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from panoexec.adapters.camera.tethered.camera import Patience, TetheredCamera
+from panoexec.adapters.camera.tethered.camera import TetheredCamera
+from panoexec.adapters.camera.tethered.patience import Patience
 from panoexec.clock import SystemClock
 from panoexec.devices import EvidenceLevel
 from panoexec.errors import DeviceError
@@ -47,9 +48,9 @@ async def test_a_photo_is_on_disk_with_size_and_hash(tmp_path: Path) -> None:
         assert camera.storage_free_images == 9999
         capture = await camera.trigger()
         evidence = await capture.evidence(EvidenceLevel.FILE_SEEN, 20)
-        taken = await camera.next_file()
+        taken = camera.files.arrived[-1]
         assert evidence.level is EvidenceLevel.FILE_SEEN
-        assert evidence.file_url == taken.told == "/store_00010001/DCIM/100PANOX/IMG_00001.JPG"
+        assert evidence.file_url == taken.told == "gphoto2:/store_00010001/DCIM/100PANOX/IMG_00001.JPG"
         content = (tmp_path / "card/IMG_00001.JPG").read_bytes()
         assert taken.path.read_bytes() == content
         assert (taken.size_bytes, taken.sha256) == (len(content), hashlib.sha256(content).hexdigest())
@@ -117,7 +118,7 @@ async def test_of_raw_and_jpeg_the_jpeg_is_fetched_and_both_are_one_photo(tmp_pa
         for number in (1, 2):
             capture = await camera.trigger()
             evidence = await capture.evidence(EvidenceLevel.FILE_SEEN, 20)
-            taken = await camera.next_file()
+            taken = camera.files.arrived[-1]
             assert evidence.file_url == taken.told
             assert taken.told.endswith(f"IMG_{number:05d}.JPG")
             assert taken.also == (taken.told.replace("JPG", "NEF"), taken.told)
@@ -213,7 +214,7 @@ async def test_the_virtual_usb_camera_of_libgphoto2(tmp_path: Path, monkeypatch:
             capture = await camera.trigger()
             evidence = await capture.evidence(EvidenceLevel.FILE_SEEN, 20)
             assert evidence.level is EvidenceLevel.FILE_SEEN
-            assert (await camera.next_file()).sha256 == hashlib.sha256(content).hexdigest()
+            assert (camera.files.arrived[-1]).sha256 == hashlib.sha256(content).hexdigest()
             names.add(evidence.file_url)
         assert len(names) == 3
         assert camera.surplus_photos == 0
@@ -238,7 +239,6 @@ async def test_the_trigger_is_prompt_while_a_file_is_fetched_and_the_process_is_
         for _ in range(5):
             await camera.trigger()
             await eventually(lambda: camera.image_count == len(sim.shown) > 0)  # its file is being fetched now
-        for _ in range(5):
-            taken = await camera.next_file()
-            assert taken.size_bytes == size
+        await eventually(lambda: len(camera.files.arrived) == 5)
+        assert {taken.size_bytes for taken in camera.files.arrived} == {size}
         assert peak_memory_kb(camera.process_id) < 40_000

@@ -86,8 +86,8 @@ class Darkroom:
         self.failures: list[str] = []
         self.on_written: Callable[[str], None] = lambda _: None
 
-    async def start(self) -> None:
-        """Start the worker; wait for it only if the scene is a file, which may be invalid.
+    async def start(self, *, wait: bool = False) -> None:
+        """Start the worker; wait for it only if the scene is a file, which may be invalid, or if that is asked for.
 
         Raises:
             UsageError: the scene is not an equirectangular image; the message names it.
@@ -101,7 +101,7 @@ class Darkroom:
             limit=_LINE_LIMIT,
         )
         self._send(self._setup)
-        if self._setup["scene"] is not None:
+        if wait or self._setup["scene"] is not None:
             first = json.loads(await self._stdout().readline() or '{"error": "the renderer did not start"}')
             if error := first.get("error"):
                 await self.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -120,6 +121,11 @@ class TetheredShutter:
         brightness_ev = _BRIGHT_EV * min(1.0, max(0.0, pitch_deg / 30 + 0.5))
         return replace(settings, exposure_s=round(0.004 * 2**-brightness_ev, 6))
 
+    @property
+    def hold_s(self) -> float:
+        """Simulated time at which the next photo is on the card, and that must not pass before it was rendered."""
+        return min((one.end_s + self._config.report_s for one, _ in self._exposed_at.values()), default=math.inf)
+
     def written(self, path: str) -> None:
         """A photo was rendered: it appears on the card, at the earliest when the camera has stored it."""
         found = self._exposed_at.pop(path, None)
@@ -129,7 +135,7 @@ class TetheredShutter:
             self._timeline.at(at_s, lambda: self._store(Path(path), utc_s))
 
     def _store(self, path: Path, utc_s: float) -> None:
-        added = self._card.add_file(path, name=path.name.upper(), time_s=utc_s)
+        added = self._card.add_file(path, name=path.name, time_s=utc_s)
         if not self._faults.photo("capture-lost"):
             self.tell(Told.OBJECT_ADDED, added.handle)
         self.tell(Told.CAPTURE_COMPLETE)

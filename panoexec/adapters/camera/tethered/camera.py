@@ -25,11 +25,12 @@ from panoexec.adapters.camera.capture import Capture, Report, Source
 from panoexec.adapters.camera.tethered.child import CallFailedError, CameraProcess
 from panoexec.adapters.camera.tethered.errors import explained
 from panoexec.adapters.camera.tethered.files import PhotoFiles
-from panoexec.adapters.camera.tethered.photos import Photo, PhotoBook
+from panoexec.adapters.camera.tethered.patience import Patience
+from panoexec.adapters.camera.tethered.photos import SCHEME, Photo, PhotoBook
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
-from panoexec.clock import Clock, SystemClock, work
-from panoexec.devices import CaptureEvidence, EvidenceLevel, PendingCapture, RecalledPhotos, TakenFile
-from panoexec.errors import DependencyError, DeviceError, LinkError, to_install
+from panoexec.clock import Clock, SystemClock, VehicleClock, work
+from panoexec.devices import CaptureEvidence, EvidenceLevel, PendingCapture, RecalledPhotos
+from panoexec.errors import DependencyError, DeviceError, LinkError, PhotoFileError, to_install
 from panoexec.inputs.config import CameraSection
 
 _AGAIN_S: Final = (0.2, 0.5, 1.0, 2.0)
@@ -37,31 +38,10 @@ _AGAIN_S: Final = (0.2, 0.5, 1.0, 2.0)
 _SILENT_S: Final = 6.0
 """A process that says nothing for so long hangs."""
 _WATCH_S: Final = 1.0
+_LISTED_S: Final = 1.0
+"""How long a listing usually takes."""
 
 _log = structlog.get_logger(__name__)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Patience:
-    """How long things may take before something is done about it, seconds.
-
-    Attributes:
-        open_s: opening the camera and listing its card.
-        call_s: a trigger, until the process is killed.
-        list_s: a listing, until the process is killed.
-        back_s: how long a trigger waits for a camera that is being opened anew.
-        late_s: how long after a trigger, or after the camera answers again, its photo may still come.
-        missing_s: how long after a trigger the camera is not disturbed by a listing: it opens the camera anew.
-        look_s: between two looks for a photo that is missing.
-    """
-
-    open_s: float = 25.0
-    call_s: float = 4.0
-    list_s: float = 15.0
-    back_s: float = 8.0
-    late_s: float = 10.0
-    missing_s: float = 3.0
-    look_s: float = 0.25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,6 +97,8 @@ class TetheredCamera:
         self._listing = asyncio.Lock()
         self._tasks: list[asyncio.Task[None]] = []
         self._files: PhotoFiles | None = None
+        self._awaiting: asyncio.Task[None] | None = None
+        self._news = asyncio.Event()
         self.restarts = 0
         """How often the camera had to be opened anew."""
 
@@ -141,6 +123,7 @@ class TetheredCamera:
         except OSError as error:
             raise DeviceError(f"{self._wanted_spool}: no folder for the camera's files ({error.strerror})") from error
         self._files = PhotoFiles(self._spool, clock=self._clock, call=self._call, opened=self._opened)
+        self._files.clear()
         self._tasks = [
             asyncio.create_task(self._keep(), name="tethered camera"),
             asyncio.create_task(self._files.run(), name="files of the tethered camera"),
@@ -151,11 +134,13 @@ class TetheredCamera:
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None:
         """Close the camera; files that were not fetched stay in it."""
-        for task in self._tasks:
+        tasks = [task for task in (*self._tasks, self._awaiting) if task is not None]
+        for task in tasks:
             task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await asyncio.gather(*tasks, return_exceptions=True)
         if self._process is not None:
             await self._process.stop()
+        self.files.clear()
         if self._temporary is not None:
             self._temporary.cleanup()
 
@@ -263,6 +248,11 @@ class TetheredCamera:
         return True
 
     @property
+    def undated_hold_s(self) -> float:
+        """See `ReportsUndated.undated_hold_s`: until a listing shows the photo whose event was lost."""
+        return self._patience.missing_s + _LISTED_S
+
+    @property
     def interval_s(self) -> float:
         """See `PacesPhotos.interval_s`; a camera refuses what comes too early."""
         return 0.0
@@ -344,7 +334,19 @@ class TetheredCamera:
             if isinstance(self._clock, SystemClock):
                 capture.commanded(capture.commanded_s + (answer["sent"] - asked_s) * self._clock.speedup)
             capture.acknowledged(self._clock.monotonic())
+            if isinstance(self._clock, VehicleClock):
+                self._awaiting = asyncio.create_task(self._await_photo(capture), name="photo of the tethered camera")
             return capture
+
+    async def _await_photo(self, capture: Capture) -> None:
+        """Have a simulated vehicle not run ahead of the photo's event, which takes real time to arrive."""
+        with work(self._clock):
+            end_s = time.monotonic() + self._patience.missing_s
+            while capture in self.book.waiting and time.monotonic() < end_s:
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(self._patience.look_s):
+                        await self._news.wait()
+                self._news.clear()
 
     async def _ready_process(self) -> CameraProcess:
         """The process, once the camera is open.
@@ -423,24 +425,34 @@ class TetheredCamera:
             await self._look()
 
     def _matched(self, found: list[tuple[Photo, Capture]], now_s: float) -> None:
+        self._news.set()
         for photo, capture in found:
             evidence = CaptureEvidence(
-                level=EvidenceLevel.CAPTURE_MESSAGE, received_s=now_s, reported_s=now_s, file_url=photo.path
+                level=EvidenceLevel.CAPTURE_MESSAGE, received_s=now_s, reported_s=now_s, file_url=photo.url
             )
             capture.add(Report(source=Source.CAPTURED, evidence=evidence))
             self.files.want(photo, capture)
 
-    async def next_file(self) -> TakenFile:
-        """See `HandsOverFiles.next_file`."""
-        return await self.files.next()
+    # --- `PhotoFetcher`
 
-    async def ask_for_file(self, told: str) -> bool:
-        """See `HandsOverFiles.ask_for_file`."""
-        photo = self.book.find(told)
+    source = "gphoto2"
+
+    def takes(self, url: str) -> bool:
+        """See `PhotoFetcher.takes`."""
+        return url.startswith(SCHEME)
+
+    async def fetch(self, url: str, part: Path) -> Path:
+        """See `PhotoFetcher.fetch`: usually the file is here already.
+
+        Raises:
+            PhotoFileError: the camera is not there, or has no such file.
+        """
+        if not self._opened.is_set():
+            raise PhotoFileError(f"the camera is not there: {self._problem}")
+        photo = self.book.find(url)
         if photo is None:
-            return False
-        self.files.want(photo)
-        return True
+            raise PhotoFileError(f"{url.removeprefix(SCHEME)} is not in the camera", final=True)
+        return await self.files.take(photo, part)
 
 
 def _open(section: CameraSection, link: MavsdkLink, spool: Path | None) -> AbstractAsyncContextManager[OpenCamera]:

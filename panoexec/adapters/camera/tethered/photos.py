@@ -37,6 +37,8 @@ RAWS: Final = frozenset(
         ".srw",
     }
 )
+SCHEME: Final = "gphoto2:"
+"""What the URL of a file in a tethered camera begins with."""
 AMBIGUOUS: Final = "the camera has photos that may belong to an earlier trigger: it cannot be told which one this is"
 
 
@@ -61,14 +63,14 @@ class Photo:
         return self.stem + (jpegs or self.suffixes)[0]
 
     @property
-    def path(self) -> str:
-        """Path of that file in the camera."""
-        return f"{self.folder.rstrip('/')}/{self.file}"
+    def url(self) -> str:
+        """That file in the camera, as evidence names it."""
+        return f"{SCHEME}{self.folder.rstrip('/')}/{self.file}"
 
     @property
-    def paths(self) -> list[str]:
-        """Paths of all its files in the camera."""
-        return [f"{self.folder.rstrip('/')}/{self.stem}{suffix}" for suffix in self.suffixes]
+    def urls(self) -> list[str]:
+        """All its files in the camera."""
+        return [f"{SCHEME}{self.folder.rstrip('/')}/{self.stem}{suffix}" for suffix in self.suffixes]
 
     @property
     def is_raw_only(self) -> bool:
@@ -106,9 +108,9 @@ class PhotoBook:
         """Triggers that wait for their photo, oldest first."""
         return tuple(self._waiting)
 
-    def find(self, path: str) -> Photo | None:
-        """The photo with a file of this path."""
-        pure = PurePosixPath(path)
+    def find(self, url: str) -> Photo | None:
+        """The photo with a file of this URL."""
+        pure = PurePosixPath(url.removeprefix(SCHEME))
         return self._photos.get((str(pure.parent), pure.stem))
 
     def baseline(self, files: Iterable[tuple[str, str]]) -> None:
