@@ -19,7 +19,7 @@ from panoexec.mission.log.record import MissionRecord
 from panoexec.store.directory import MissionDirectory
 from panoexec.store.journal import DamagedJournalError, JournalFileError, SqliteJournal, load_journal
 from panoexec.store.journal_layout import JournalContents
-from panoexec.store.photo_store import PhotoStore
+from panoexec.store.photo_store import PhotoStore, stored_photos
 
 
 class LandedMission:
@@ -46,6 +46,10 @@ class LandedMission:
             JournalFileError: it is missing, in use, or damaged.
         """
         return cls(directory, record_of(directory, load_journal(directory.journal)))
+
+    def stored(self) -> Sequence[PhotoStored]:
+        """All stored files."""
+        return tuple(stored_photos(self.record))
 
     def close(self) -> None:
         """End the store's thread; events that were not flushed are lost."""

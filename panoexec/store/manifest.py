@@ -318,6 +318,7 @@ def _photo_json(attempt: AttemptRecord, photo: ev.Photo, folder: Path) -> dict[s
         "sha256": None if stored is None else stored.sha256,
         "size_bytes": None if stored is None else stored.size_bytes,
         "source": None if stored is None else stored.source,
+        "raw": (stored.raw or None) if stored is not None else None,
     }
 
 

@@ -95,6 +95,7 @@ class PhotoStore:
         photo: int = 1,
         name: str,
         source: PhotoSource,
+        raw: Path | None = None,
         expected_bytes: int | None = None,
         how: Literal["copy", "move", "link"] = "copy",
     ) -> PhotoStored:
@@ -110,6 +111,7 @@ class PhotoStore:
             photo: number of the photo within the attempt.
             name: as the camera names it; folders and characters that file names cannot have are dropped.
             source: where it came from.
+            raw: the RAW file of the same photo; it gets the name of the stored one, with its own suffix.
             expected_bytes: the size that the camera told; None if it told none.
             how: what happens to a file: `move` removes it, `link` makes a hard link, else a copy.
 
@@ -126,7 +128,13 @@ class PhotoStore:
         work = _Work(self._folder, content, (final, alternative), expected_bytes, how, taken)
         written = await asyncio.get_running_loop().run_in_executor(self._pool, work)
         file = f"{_FOLDER}/{written.name}"
-        if earlier is not None and (earlier.sha256, earlier.file) == (written.sha256, file):
+        beside = None
+        if raw is not None:
+            raw_name = f"{PurePosixPath(written.name).stem}{raw.suffix}"
+            raw_work = _Work(self._folder, raw, (raw_name,), None, how, taken)
+            beside = await asyncio.get_running_loop().run_in_executor(self._pool, raw_work)
+        is_same = earlier is not None and (earlier.sha256, earlier.file) == (written.sha256, file)
+        if earlier is not None and is_same and (beside is None or earlier.raw_sha256 == beside.sha256):
             return earlier
         event = PhotoStored(
             shot=shot,
@@ -136,6 +144,8 @@ class PhotoStore:
             size_bytes=written.size_bytes,
             sha256=written.sha256,
             source=source,
+            raw="" if beside is None else f"{_FOLDER}/{beside.name}",
+            raw_sha256="" if beside is None else beside.sha256,
         )
         recorded = self._emit(event)
         if recorded is None:
@@ -145,9 +155,11 @@ class PhotoStore:
     def _taken(self, *, besides: tuple[int, int, int]) -> dict[str, tuple[str, tuple[int, int, int]]]:
         """Content and owner of the files of all other photos, by file."""
         return {
-            event.file: (event.sha256, owner)
+            file: (digest, owner)
             for event in stored_photos(self._record)
             if (owner := (event.shot, event.attempt, event.photo)) != besides
+            for file, digest in ((event.file, event.sha256), (event.raw, event.raw_sha256))
+            if file
         }
 
 

@@ -414,6 +414,8 @@ class PhotoStored(ShotEvent):
         size_bytes: its size.
         sha256: of its content, 64 hexadecimal digits.
         source: where it came from: `gphoto2`, `http`, `mavftp`, `local` (a folder of this computer) or `import`.
+        raw: path of the RAW file beside it; "" without one.
+        raw_sha256: of the RAW file's content.
     """
 
     photo: Whole = 1
@@ -421,6 +423,8 @@ class PhotoStored(ShotEvent):
     size_bytes: Whole
     sha256: str
     source: str
+    raw: str = ""
+    raw_sha256: str = ""
 
 
 class EventSink(Protocol):

@@ -1,0 +1,1 @@
+"""The photos of a memory card, paired with the attempts of a mission."""
