@@ -3,7 +3,7 @@
 The page (MISSION_DIR/report.html) shows the sphere map of the photos, coverage and certificate, the pointing error of
 every attempt, retakes with their reasons, a time breakdown, the battery, and the panorama: the stitched panorama after
 `panoexec stitch`, otherwise a preview rendered from the photos and their measured attitudes. Every mission writes the
-report at its end. Run this command after copying photos from the camera or after stitching.
+report at its end. Run this command after stitching.
 
 Exit code 1: the mission has no accepted photo, or photos are missing or damaged. The page is written nevertheless.
 
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     """Write the page and print its path."""
     directory = existing_mission_directory(args.mission)
     report = write_report(directory)
-    _explain(report, directory.images)
+    _explain(report)
     if args.json:
         print_json(
             {
@@ -51,16 +51,17 @@ def run(args: argparse.Namespace) -> int:
     return 1 if report.problems or not report.photos else 0
 
 
-def _explain(report: Report, images: Path) -> None:
+def _explain(report: Report) -> None:
     for text in report.notes:
         note(f"note: {text}")
     if not report.photos:
         note("the mission has no accepted photo")
-    for index, photo in report.problems[:_SHOWN]:
-        note(f"shot {index}: {photo.name or 'photo'} {photo.problem}")
-    if len(report.problems) > _SHOWN:
-        note(f"… and {len(report.problems) - _SHOWN} more")
-    if any(photo.problem == "is missing" for _, photo in report.problems):
-        note(f"copy missing photos from the camera into {images} and run this command again")
+    damaged = [(index, photo) for index, photo in report.problems if not photo.is_absent]
+    for index, photo in damaged[:_SHOWN]:
+        note(f"shot {index}: {photo.name} {photo.problem}")
+    if len(damaged) > _SHOWN:
+        note(f"… and {len(damaged) - _SHOWN} more")
+    if report.absent:
+        note(report.absent)
     if report.photos and not report.panorama:
         note(f"no panorama: {report.why_none}")

@@ -13,7 +13,7 @@ from panoexec.files import write_atomically
 from panoexec.report.data import page_data
 from panoexec.report.page import render_page
 from panoexec.report.panorama import best_picture
-from panoexec.report.source import PhotoFile, read_source
+from panoexec.report.source import PhotoFile, absence, read_source
 from panoexec.store.directory import MissionDirectory
 
 __all__ = ["QUICK_LOOK_CPU_S", "Report", "write_report"]
@@ -30,6 +30,7 @@ class Report:
         path: the page.
         photos: accepted photos.
         problems: photos that are missing or damaged, with the shot's index.
+        absent: what to do about the missing ones; "" if there are none.
         panorama: `stitched`, `quick` or "" for none.
         why_none: why there is no panorama.
         notes: files that could not be read.
@@ -38,6 +39,7 @@ class Report:
     path: Path
     photos: int
     problems: tuple[tuple[int, PhotoFile], ...]
+    absent: str
     panorama: str
     why_none: str
     notes: tuple[str, ...]
@@ -69,6 +71,7 @@ def write_report(directory: MissionDirectory, *, max_cpu_s: float = math.inf) ->
         path=directory.report,
         photos=len(source.photos),
         problems=tuple(source.photo_problems),
+        absent=absence(source.photo_problems, photos=len(source.photos), folder=source.folder),
         panorama=picture.kind if picture else "",
         why_none="" if picture else why_none,
         notes=source.notes,

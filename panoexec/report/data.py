@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 from panoexec import __version__
 from panoexec.planning.model import Band
-from panoexec.report.source import PhotoFile, Source
+from panoexec.report.source import PhotoFile, Source, absence
 from panoexec.report.timeline import AttemptTimes, Timeline, timeline
 
 FORMAT = "panoexec.report/1"
@@ -67,7 +67,8 @@ def page_data(source: Source, *, made_utc_s: float) -> dict[str, Any]:
         "photos": {
             "accepted": len(source.photos),
             "usable": sum(1 for photo in source.photos.values() if not photo.problem),
-            "problems": [_photo_problem(index, photo) for index, photo in source.photo_problems],
+            "absent": absence(source.photo_problems, photos=len(source.photos), folder=source.folder),
+            "problems": [_photo_problem(index, photo) for index, photo in source.damaged],
         },
         "stitch": _stitch(source.stitch),
         "notes": list(source.notes),

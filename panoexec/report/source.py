@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from panoexec.codec import decode
 from panoexec.errors import UsageError
@@ -18,6 +18,10 @@ from panoexec.mission.settings import MissionSettings
 from panoexec.store.directory import MissionDirectory
 from panoexec.store.journal import read_journal
 from panoexec.store.rebuilding import current_manifest
+
+_ABSENT: Final = "is missing"
+_UNNAMED: Final = "has no known file name"
+_NAMED: Final = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +35,11 @@ class PhotoFile:
 
     name: str
     problem: str = ""
+
+    @property
+    def is_absent(self) -> bool:
+        """Whether the photo has not reached this computer."""
+        return self.problem in {_ABSENT, _UNNAMED}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +72,29 @@ class Source:
     def photo_problems(self) -> list[tuple[int, PhotoFile]]:
         """Accepted shots whose photo is missing or damaged, in order."""
         return [(index, photo) for index, photo in sorted(self.photos.items()) if photo.problem]
+
+    @property
+    def damaged(self) -> list[tuple[int, PhotoFile]]:
+        """Accepted shots whose photo is here and cannot be used, in order."""
+        return [(index, photo) for index, photo in self.photo_problems if not photo.is_absent]
+
+
+def absence(problems: Sequence[tuple[int, PhotoFile]], *, photos: int, folder: Path) -> str:
+    """What to do about the photos that have not reached this computer; "" if all have.
+
+    Args:
+        problems: shots with their photos.
+        photos: how many accepted photos there are.
+        folder: the mission directory.
+    """
+    shots = [index for index, photo in problems if photo.is_absent]
+    if not shots:
+        return ""
+    how = f"copy its card and run: panoexec import {folder} CARD"
+    if len(shots) == photos:
+        return f"the photos are still in the camera: {how}"
+    named = ", ".join(map(str, shots[:_NAMED])) + (", …" if len(shots) > _NAMED else "")
+    return f"{len(shots)} of {photos} photos are still in the camera (shots {named}): {how}"
 
 
 def read_source(directory: MissionDirectory) -> Source:
@@ -109,10 +141,10 @@ def _photos(manifest: Mapping[str, Any], folder: Path) -> dict[int, PhotoFile]:
 
 def _photo(name: str, folder: Path) -> PhotoFile:
     if not name:
-        return PhotoFile(name="", problem="has no known file name")
+        return PhotoFile(name="", problem=_UNNAMED)
     path = folder / name
     if not path.is_file():
-        return PhotoFile(name=name, problem="is missing")
+        return PhotoFile(name=name, problem=_ABSENT)
     if path.suffix.lower() not in {".jpg", ".jpeg"}:
         return PhotoFile(name=name)
     try:

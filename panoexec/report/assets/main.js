@@ -145,8 +145,9 @@ function retakes() {
 function photoProblems() {
   const texts = [...data.notes];
   if (data.panorama.left_out && data.panorama.left_out.length) texts.push(`not in the quick look: ${data.panorama.left_out.join(", ")}`);
-  if (!photos.problems.length && !texts.length && data.panorama.kind) return;
+  if (!photos.problems.length && !photos.absent && !texts.length && data.panorama.kind) return;
   card("photos", "Photos", `${photos.usable} of ${photos.accepted} accepted photos are in the mission's directory and complete.`,
+    photos.absent ? el("p", { class: "lead" }, `${photos.absent[0].toUpperCase()}${photos.absent.slice(1)}`) : null,
     photos.problems.length ? el("div", { class: "scroll" }, el("table", {}, el("tbody", {}, photos.problems.map((p) => el("tr", {}, el("th", {}, `shot ${p.shot}`), el("td", {}, `${p.name || "photo"} ${p.problem}`)))))) : null,
     data.panorama.kind ? null : el("p", { class: "lead" }, `No panorama: ${data.panorama.why}.`),
     texts.length ? el("ul", { class: "texts" }, texts.map((text) => el("li", {}, text))) : null);

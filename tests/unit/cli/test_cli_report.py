@@ -30,8 +30,12 @@ def test_missing_photos_end_with_1_and_advice(directory: MissionDirectory, capsy
     (directory.images / "IMG_0002.jpg").unlink()
     assert run(["report", str(directory.path)]) == 1
     err = capsys.readouterr().err
-    assert "shot 2: IMG_0002.jpg is missing" in err
-    assert f"copy missing photos from the camera into {directory.images}" in err
+    assert "1 of 7 photos are still in the camera (shots 2)" in err
+    assert f"panoexec import {directory.path} CARD" in err
+    for path in directory.images.iterdir():
+        path.unlink()
+    assert run(["report", str(directory.path)]) == 1
+    assert capsys.readouterr().err.count("still in the camera") == 1
     assert directory.report.exists()
 
 

@@ -72,7 +72,7 @@ def test_a_sound_mission(directory: MissionDirectory) -> None:
     assert data["reasons"] == [["pointing", 1]]
     assert data["battery"]["samples"] == [[0, 0.95], [18, 0.9]]
     assert data["band"]["elevation"] == [-90, -4]
-    assert data["photos"] == {"accepted": 7, "usable": 7, "problems": []}
+    assert data["photos"] == {"accepted": 7, "usable": 7, "problems": [], "absent": ""}
     assert data["shots"][1]["attempts"][0]["error"] == [2.0, 0.01, 0.1]
     assert data["shots"][3]["photo"]["href"] == "./images/IMG_0003.jpg"
 
@@ -133,8 +133,21 @@ def test_missing_and_truncated_photos_are_named(directory: MissionDirectory) -> 
         (3, "images/IMG_0003.jpg", "is truncated"),
         (5, "IMG_0005.jpg", "is missing"),
     ]
-    assert [p["shot"] for p in data_of(directory)["photos"]["problems"]] == [3, 5]
+    told = data_of(directory)["photos"]
+    assert [p["shot"] for p in told["problems"]] == [3], "one that is not here yet is not damaged"
+    assert told["absent"] == report.absent
+    assert report.absent.startswith("1 of 7 photos are still in the camera (shots 5): copy its card and run: ")
     assert report.panorama == "quick"
+
+
+def test_photos_that_are_all_in_the_camera_are_told_in_one_line(directory: MissionDirectory) -> None:
+    for path in directory.images.iterdir():
+        path.unlink()
+    report = write_report(directory)
+    text = f"the photos are still in the camera: copy its card and run: panoexec import {directory.path} CARD"
+    assert report.absent == text
+    told = data_of(directory)["photos"]
+    assert (told["absent"], told["problems"]) == (text, [])
 
 
 def test_a_photo_that_cannot_be_decoded_is_left_out_of_the_picture(directory: MissionDirectory) -> None:
