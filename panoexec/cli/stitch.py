@@ -1,12 +1,14 @@
 """Stitch the photos of a mission into one panorama and measure its completeness.
 
-Hugin's command-line tools find control points (cpfind) and remap the photos (nona); install them with
+Each photo is examined first: readable, exposed, sharp, and tied to its neighbours where its attitude says it is. Photos
+that are not are named and left out. Hugin's nona remaps the others (and cpfind finds control points with --matcher
+cpfind); install them with
   apt-get install hugin-tools
 The alignment starts from the measured attitudes, which bound it; photos without control points keep their measured
 attitude. The results are written to MISSION_DIR/stitch: panorama.tif (whole sphere, with alpha), panorama.jpg (with
 GPano tags), aligned.pto (a Hugin project) and stitch.json. An interrupted run continues where it stopped.
 
-Exit code 1: the panorama has holes in the ground, or photos are missing.
+Exit code 1: the panorama has holes in the ground, photos are missing, or the content of some does not count.
 
 Example:
   panoexec stitch missions/20260921T141320.000Z
@@ -16,7 +18,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from panoexec.cli.output import completeness, console, note, print_facts, print_json, print_table
 from panoexec.errors import DependencyError, UsageError, to_install
@@ -44,6 +46,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--fixed-lens", action="store_true", help="keep focal length and distortion fixed")
     parser.add_argument("--memory", type=_memory, default=1024, metavar="MIB", help="memory for blending in MiB (1024)")
+    parser.add_argument(
+        "--matcher",
+        choices=("own", "cpfind"),
+        default="own",
+        help="what finds control points: the ties of the examination, or Hugin's cpfind (own)",
+    )
     parser.add_argument("--restart", action="store_true", help="discard the results of an earlier run")
     parser.add_argument("--json", action="store_true", help="print stitch.json as one JSON document on stdout")
 
@@ -66,15 +74,32 @@ def run(args: argparse.Namespace) -> int:
         refine_lens=not args.fixed_lens,
         memory_bytes=args.memory << 20,
         restart=args.restart,
+        matcher=args.matcher,
     )
-    result = _stitch(mission, options)
+    from panoexec.stitching.pipeline import ContentRefusedError  # noqa: PLC0415
+
+    try:
+        result = _stitch(mission, options)
+    except ContentRefusedError as error:
+        note(f"panoexec: {error}")
+        content = error.examined.to_json()
+        _name_bad(content["bad"])
+        if args.json:
+            print_json({"format": "panoexec.stitch/1", "completeness": None, "content": content})
+        return 1
     _show_in_report(mission)
     if args.json:
         print_json(result.to_json())
     else:
         show(result, mission)
-    whole = result.completeness.hole_px == 0 and not result.left_out and not mission.missing_shots
+    _name_bad(result.bad)
+    whole = result.completeness.hole_px == 0 and not result.left_out and not mission.missing_shots and not result.bad
     return 0 if whole else 1
+
+
+def _name_bad(bad: list[dict[str, Any]]) -> None:
+    for photo in bad:
+        note(f"does not count: shot {photo['shot']} ({photo['file']}): {photo['code']}: {photo['reason']}")
 
 
 def _show_in_report(mission: StitchInput) -> None:
@@ -122,7 +147,10 @@ def show(result: StitchResult, mission: StitchInput) -> None:
             ("", f"{completeness(verdict.solid_angle_fraction)} by solid angle; {verdict.hole_px} px missing"),
             (
                 "photos",
-                f"{result.images} stitched, {len(result.left_out)} left out, {len(result.untied)} unconnected",
+                (
+                    f"{result.images} stitched, {len(result.left_out) + len(result.bad)} left out, "
+                    f"{len(result.untied)} unconnected"
+                ),
             ),
             (
                 "alignment",

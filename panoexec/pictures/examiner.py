@@ -16,7 +16,7 @@ from panoexec.optics import Camera
 from panoexec.pictures.decoding import UnreadableError, decode
 from panoexec.pictures.features import Exposure, Features, features_of
 from panoexec.pictures.judgement import Limits, Pair, Subject, judge
-from panoexec.pictures.matching import Tie, View, tie
+from panoexec.pictures.matching import SEARCH_DEG, Tie, View, tie
 from panoexec.pictures.model import Content, PhotoToCheck, Verdicts
 from panoexec.planning.geometry.overlap import pairwise_overlap
 
@@ -47,6 +47,7 @@ class Examiner:
         planned: planned attitude (3, 3) of each shot, from which its neighbours are known before they are taken.
         limits: what is a good photo.
         longer_px: the longer side at which photos are examined.
+        search_deg: how far apart from the measured attitudes ties are searched.
     """
 
     def __init__(
@@ -56,10 +57,12 @@ class Examiner:
         *,
         limits: Limits | None = None,
         longer_px: int = EXAMINED_PX,
+        search_deg: float = SEARCH_DEG,
     ) -> None:
         self._camera = camera
         self._limits = limits or Limits()
         self._longer_px = longer_px
+        self._search_deg = search_deg
         self._photos: dict[int, _Photo] = {}
         self._ties: dict[Pair, Tie] = {}
         self._planned: dict[int, FloatArray] = {}
@@ -176,7 +179,7 @@ class Examiner:
             if value < MIN_OVERLAP:
                 continue
             first, second = (own, other) if own.photo.shot < other.photo.shot else (other, own)
-            result = tie(self._view(first), self._view(second))
+            result = tie(self._view(first), self._view(second), search_deg=self._search_deg)
             if result is not None:
                 self._ties[first.photo.shot, second.photo.shot] = result
 

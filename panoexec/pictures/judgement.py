@@ -20,6 +20,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
@@ -28,6 +29,9 @@ from panoexec.pictures.matching import Tie
 from panoexec.pictures.model import BAD, Content, Judgement, TieGraph, TieLine, Verdicts
 
 Pair = tuple[int, int]
+
+_SURELY_BLURRED: Final = math.log(2.5)
+"""Ratio of fine detail, natural logarithm, of two photos that may show different things."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,11 +102,10 @@ class _Judge:
         for shot, subject in sorted(self._subjects.items()):
             if subject.problem is not None:
                 self._found[shot] = (*subject.problem, True)
+            elif subject.same_as is not None:
+                self._found[shot] = (Content.CONTRADICTS, f"it is the same picture as shot {subject.same_as}", True)
         self._stops = self._relative(self._stops_of, lambda value: abs(value) > self._limits.stops, self._off)
         self._sharpness = self._relative(self._sharpness_of, lambda v: v < self._limits.sharpness, self._smeared)
-        for shot, subject in sorted(self._subjects.items()):
-            if self._good(shot) and subject.same_as is not None:
-                self._found[shot] = (Content.CONTRADICTS, f"it is the same picture as shot {subject.same_as}", True)
         error, odd, dropped = self._attitudes()
         self._conflicts(dropped)
         return self._verdicts(error, odd, dropped)
@@ -114,7 +117,11 @@ class _Judge:
         return value if a < b else -value
 
     def _sharpness_of(self, a: int, b: int) -> float:
-        value = self._tie(a, b).comparison.sharpness
+        tie = self._tie(a, b)
+        value = tie.comparison.sharpness
+        # of different things, only a ratio that no things have tells anything
+        if not tie.tied and not (value > 0 and abs(math.log(value)) >= _SURELY_BLURRED):
+            return math.nan
         return value if a < b else (1 / value if value > 0 else math.nan)
 
     @staticmethod
@@ -198,11 +205,9 @@ class _Judge:
             for a, b in tied:
                 degree[a] += 1
                 degree[b] += 1
-            bad = [
-                shot
-                for shot, value in odd.items()
-                if value > self._limits.odd_deg and (degree[shot] > 1 or self._complete(shot))
-            ]
+            # where all attitudes are poor (assumed after a slew, not measured), a poor one is not odd
+            limit = max(self._limits.odd_deg, 8 * float(np.median([odd[shot] for shot in degree]))) if degree else 0.0
+            bad = [shot for shot, value in odd.items() if value > limit and (degree[shot] > 1 or self._complete(shot))]
             if not bad:
                 return error, odd, dropped
             worst = max(bad, key=lambda shot: odd[shot])

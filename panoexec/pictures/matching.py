@@ -21,8 +21,8 @@ from panoexec.pictures.features import CELL_PX, DETAIL_PX, DISTINCT_CORNER, Feat
 from panoexec.pictures.rotations import consensus, displacement_matrix, rotation_of_vector
 
 SEARCH_DEG: Final = 2.2
-"""How far apart from the measured attitudes a tie is searched."""
-_MOST_SEARCH_PX: Final = 64
+"""How far apart from the measured attitudes a tie is searched, unless asked for otherwise."""
+_MOST_SEARCH_PX: Final = 96
 _COARSE_CORNERS: Final = 32
 _FINE_CORNERS: Final = 48
 _COARSE_HALF: Final = 8
@@ -96,14 +96,15 @@ class Tie:
         return float(np.linalg.norm(self.turn_world_deg))
 
 
-def tie(first: View, second: View) -> Tie | None:
+def tie(first: View, second: View, *, search_deg: float = SEARCH_DEG) -> Tie | None:
     """Tie two photos; None if they do not overlap.
 
     Args:
         first: whose corners are searched.
         second: the photo that is resampled.
+        search_deg: how far apart from the measured attitudes a tie is searched.
     """
-    search = min(_MOST_SEARCH_PX, int(np.ceil(np.radians(SEARCH_DEG) * first.focal_px)))
+    search = min(_MOST_SEARCH_PX, int(np.ceil(np.radians(search_deg) * first.focal_px)))
     shared = _shared_corners(first, second)
     if shared is None:
         return None

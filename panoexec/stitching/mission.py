@@ -38,6 +38,7 @@ class StitchInput:
         left_out: unusable photos by name, with the reason.
         missing_shots: shots without an accepted photo.
         place: where and when it was taken; its heading is that of the canvas's middle.
+        taken: shot and time (UTC, seconds; NaN if unknown) of each photo, by name.
     """
 
     folder: Path
@@ -48,6 +49,7 @@ class StitchInput:
     left_out: Mapping[str, str]
     missing_shots: tuple[int, ...] = ()
     place: Place = field(default_factory=Place)
+    taken: Mapping[str, tuple[int, float]] = field(default_factory=dict)
 
 
 def load_mission(path: Path) -> StitchInput:
@@ -92,6 +94,7 @@ def load_mission(path: Path) -> StitchInput:
         left_out=left_out,
         missing_shots=missing,
         place=place_of(document, accepted),
+        taken={shot.name: (shot.index, shot.time_utc_s) for shot in accepted},
     )
 
 

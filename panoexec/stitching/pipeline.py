@@ -1,6 +1,7 @@
 """The steps of the stitcher; the result of each is stored, so that an interrupted run can be resumed.
 
-1. *match*: control points by `cpfind`, only between images that overlap by their measured attitudes.
+1. *match*: every photo is examined (`panoexec.stitching.examination`); control points are what ties it to the others,
+   or `cpfind`'s. Photos that do not count are left out from here on.
 2. *align*: one adjustment of all images (`panoexec.stitching.adjustment`).
 3. *render*: `nona` and blending, block by block.
 4. *finish*: TIFF, preview, completeness.
@@ -19,7 +20,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 import PIL.Image
@@ -30,11 +31,18 @@ from panoexec.formats.hugin_pto import PtoProject, parse_pto, render_pto
 from panoexec.formats.xmp import gpano_properties, packet, with_xmp
 from panoexec.stitching.adjustment import Adjustment, Lens, Points, adjust, spread_points, tied_group
 from panoexec.stitching.completeness import Completeness, Ground, PanoramaHole
+from panoexec.stitching.examination import (
+    Examination,
+    examination_from_json,
+    examination_path,
+    examine_photos,
+    without,
+)
 from panoexec.stitching.matching import as_control_points, believable, find_points
 from panoexec.stitching.mission import StitchInput
 from panoexec.stitching.place import exif_of
 from panoexec.stitching.rendering import PanoramaRenderer, Rendered
-from panoexec.stitching.tools import ToolError, check_tools, disk_error
+from panoexec.stitching.tools import StitchError, ToolError, check_tools, disk_error
 
 FORMAT: Final = "panoexec.stitch/1"
 STEPS: Final = ("match", "align", "render", "finish")
@@ -51,6 +59,7 @@ class StitchOptions:
         refine_lens: whether focal length and distortion are adjusted.
         memory_bytes: memory limit for blending.
         restart: whether to discard the results of earlier runs.
+        matcher: what finds control points: the ties of the examination, or Hugin's `cpfind`.
     """
 
     width_px: int | None = None
@@ -58,6 +67,7 @@ class StitchOptions:
     refine_lens: bool = True
     memory_bytes: int = 1 << 30
     restart: bool = False
+    matcher: Literal["own", "cpfind"] = "own"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,6 +87,7 @@ class StitchResult:
         seconds: duration of each step, over all runs.
         panorama: the TIFF.
         preview: the JPEG.
+        content: what the examination of the photos found (`Examination.to_json`).
     """
 
     completeness: Completeness
@@ -91,6 +102,12 @@ class StitchResult:
     seconds: dict[str, float] = field(default_factory=dict)
     panorama: Path = Path()
     preview: Path = Path()
+    content: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def bad(self) -> list[dict[str, Any]]:
+        """Photos that do not count: shot, file, code, reason."""
+        return list(self.content.get("bad", []))
 
     def to_json(self) -> dict[str, Any]:
         """A JSON object (`panoexec.stitch/1`)."""
@@ -103,6 +120,18 @@ class StitchResult:
             "panorama": self.panorama.name,
             "preview": self.preview.name,
         }
+
+
+class ContentRefusedError(StitchError):
+    """Most photos contradict what they should show.
+
+    Attributes:
+        examined: what the examination found.
+    """
+
+    def __init__(self, text: str, examined: Examination) -> None:
+        super().__init__(text)
+        self.examined = examined
 
 
 Progress = Callable[[str, float, str], None]
@@ -124,6 +153,7 @@ class Stitcher:
         self._progress = progress
         self._work = mission.folder / "stitch"
         self._state: dict[str, dict[str, Any]] = {}
+        self._examined = Examination()
 
     def run(self) -> StitchResult:
         """Run the steps that are not complete.
@@ -132,7 +162,7 @@ class Stitcher:
             ToolError: a tool is missing or failed, or the disk is full; completed steps are kept.
             StitchError: a photo cannot be read.
         """
-        check_tools()
+        check_tools(cpfind=self._options.matcher == "cpfind")
         try:
             if self._options.restart:
                 shutil.rmtree(self._work, ignore_errors=True)
@@ -150,14 +180,18 @@ class Stitcher:
         self._state = self._read_state()
         measured = self._mission.project
         key = self._fingerprint(measured)
+        key = _digest(key, self._options.matcher)
         matched = self._step("match", key, self._work / "matched.pto", lambda: self._match(measured))
+        self._examined = self._read_examination()
+        self._refuse_if_hardly_any_counts(measured)
+        measured = without(measured, self._bad_names)
         key = _digest(
             key, matched.read_text(encoding="utf-8"), str(self._options.refine_lens), repr(self._mission.tolerance)
         )
         aligned = self._step("align", key, self._work / "aligned.pto", lambda: self._align(measured, matched))
         project = self._on_canvas(_from_work(parse_pto(aligned.read_text(encoding="utf-8"))))
         renderer = self._renderer(project)
-        ground = repr((self._options.horizon_deg, self._mission.band, self._mission.masks))
+        ground = repr((self._options.horizon_deg, self._mission.band, self._mission.masks, self._examined.gains))
         key = _digest(key, render_pto(project), ground, str(self._options.memory_bytes))
         blocks = self._work / "blocks"
         if self._state.get("render", {}).get("key") != key:
@@ -198,12 +232,45 @@ class Stitcher:
     # --- the steps
 
     def _match(self, measured: PtoProject) -> None:
-        found = find_points(measured, self._mission.folder, self._work, self._told("match"))
+        """Examine the photos, find control points; write both."""
+        own = self._options.matcher == "own"
+        told = self._told("match")
+        share = 1.0 if own else 0.3
+        examined = examine_photos(self._mission, lambda fraction, text: told(share * fraction, text))
+        write_atomically(examination_path(self._work), json.dumps(examined.to_json(), indent=1) + "\n")
+        if own:
+            found = replace(measured, control_points=examined.points)
+        else:
+            found = find_points(
+                measured, self._mission.folder, self._work, lambda fraction, text: told(0.3 + 0.7 * fraction, text)
+            )
         write_atomically(self._work / "matched.pto", render_pto(_in_work(found)))
+
+    def _read_examination(self) -> Examination:
+        path = examination_path(self._work)
+        try:
+            return examination_from_json(json.loads(path.read_text(encoding="utf-8")))
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise ToolError(f"{path}: cannot be read ({error}); stitch with --restart") from error
+
+    @property
+    def _bad_names(self) -> frozenset[str]:
+        return frozenset(photo.file for photo in self._examined.bad)
+
+    def _refuse_if_hardly_any_counts(self, measured: PtoProject) -> None:
+        """Refuse a mission of which most photos are bad: their files belong to other shots, or to another mission."""
+        names = [image.file_name for image in measured.images]
+        bad = [name for name in names if name in self._bad_names]
+        if 2 * len(bad) > len(names):
+            raise ContentRefusedError(
+                f"{self._mission.folder}: {len(bad)} of {len(names)} photos do not show what their shots should; "
+                "the files may belong to other shots or to another mission",
+                self._examined,
+            )
 
     def _align(self, measured: PtoProject, matched: Path) -> None:
         """Adjust; write `aligned.pto`, which Hugin can open, and the figures of the alignment."""
-        found = parse_pto(matched.read_text(encoding="utf-8"))
+        found = without(_from_work(parse_pto(matched.read_text(encoding="utf-8"))), self._bad_names)
         lens = _lens(measured)
         points = believable(replace(measured, control_points=found.control_points), self._mission.tolerance, lens)
         points = spread_points(points, _POINTS_A_PAIR)
@@ -239,6 +306,7 @@ class Stitcher:
             ground=Ground(band=mission.band, horizon_deg=self._options.horizon_deg, masks=mission.masks),
             memory_bytes=self._options.memory_bytes,
             xmp=packet(gpano_properties(project.canvas_px[0], heading_deg=mission.place.heading_deg)),
+            gains=[self._examined.gains.get(image.file_name, (1.0, 1.0, 1.0)) for image in project.images],
         )
 
     def _finish(self, renderer: PanoramaRenderer, project: PtoProject) -> None:
@@ -258,6 +326,7 @@ class Stitcher:
             canvas_px=project.canvas_px,
             panorama=self._panorama,
             preview=preview,
+            content=self._examined.to_json(),
         )
         write_atomically(self._work / "stitch.json", json.dumps(result.to_json(), indent=1) + "\n")
         for name in ("blocks", "remapped", "match"):
@@ -335,6 +404,7 @@ def result_from_json(document: dict[str, Any], work: Path) -> StitchResult:
         seconds=document["seconds"],
         panorama=work / document["panorama"],
         preview=work / document["preview"],
+        content=document.get("content", {}),
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -22,6 +22,7 @@ from panoexec.formats.hugin_pto import PtoProject, render_pto
 from panoexec.stitching.blending import Patch, blend
 from panoexec.stitching.canvas import Block, View, block_side, blocks, image_depth, images_in_view, turned, view_of
 from panoexec.stitching.completeness import BlockCount, Completeness, CompletenessCounter, Ground
+from panoexec.stitching.gains import stored_gain
 from panoexec.stitching.tiff import TILE_PX, TiledTiff, TileEntry
 from panoexec.stitching.tools import ToolError, disk_error, run_tool
 
@@ -66,11 +67,12 @@ class PanoramaRenderer:
         ground: what must be covered.
         memory_bytes: memory limit for blending.
         xmp: XMP packet for the TIFF.
+        gains: factors of red, green and blue light of each image; none: 1.
     """
 
     def __init__(
         self, project: PtoProject, folder: Path, work: Path, *, target: Path, ground: Ground, memory_bytes: int,
-        xmp: str = "",
+        xmp: str = "", gains: Sequence[tuple[float, float, float]] = (),
     ) -> None:  # fmt: skip
         self._project = project
         self._folder = folder
@@ -79,6 +81,7 @@ class PanoramaRenderer:
         self._target = target
         self._part = target.with_name(target.name + ".part")
         self._xmp = xmp
+        self._gains = [stored_gain(gain) for gain in gains]
         canvas = project.canvas_px
         self._blur = max(2, round(project.images[0].width_px * _BLUR_FRACTION * self._canvas_scale))
         self._margin = 2 * self._blur + 2
@@ -181,7 +184,7 @@ class PanoramaRenderer:
         for place, number in enumerate(numbers):
             path = folder / f"out{place:04d}.tif"
             if path.exists():
-                patches.append(_patch(path, number, view))
+                patches.append(_patch(path, number, view, self._gains[number] if self._gains else None))
                 path.unlink()
         return patches
 
@@ -234,8 +237,8 @@ class PanoramaRenderer:
             return None
 
 
-def _patch(path: Path, number: int, view: View) -> Patch:
-    """The output of `nona`, placed in the view."""
+def _patch(path: Path, number: int, view: View, gain: NDArray[np.uint8] | None) -> Patch:
+    """The output of `nona`, placed in the view; `gain` are tables (3, 256) of stored values."""
     with PIL.Image.open(path) as picture:
         tags = picture.tag_v2  # type: ignore[attr-defined]
         pixels = np.array(picture)
@@ -243,6 +246,9 @@ def _patch(path: Path, number: int, view: View) -> Patch:
         left, top = (
             round(float(tags.get(place, 0)) * float(tags.get(unit, 1))) for place, unit in ((286, 282), (287, 283))
         )
+    if gain is not None:
+        for channel in range(3):
+            pixels[..., channel] = gain[channel][pixels[..., channel]]
     return Patch(number, left - view.left, top - view.top, pixels[..., :3], pixels[..., 3] > 127)
 
 

@@ -12,7 +12,7 @@ from typing import ClassVar, Final
 
 from panoexec.errors import PanoexecError
 
-NEEDED: Final = ("cpfind", "nona")
+NEEDED: Final = ("nona",)
 _INSTALL: Final = "install them with  apt-get install hugin-tools"
 _LITTLE_SPACE_BYTES: Final = 64 << 20
 
@@ -27,13 +27,16 @@ class ToolError(PanoexecError):
     exit_code: ClassVar[int] = 3
 
 
-def check_tools() -> None:
+def check_tools(*, cpfind: bool = False) -> None:
     """Check that Hugin's tools are installed.
+
+    Args:
+        cpfind: whether Hugin's matcher is needed, too.
 
     Raises:
         ToolError: some are missing; the message says how to install them.
     """
-    missing = [name for name in NEEDED if shutil.which(name) is None]
+    missing = [name for name in (*NEEDED, *(("cpfind",) if cpfind else ())) if shutil.which(name) is None]
     if missing:
         raise ToolError(f"Hugin's tools are not installed (missing: {', '.join(missing)}): {_INSTALL}")
 

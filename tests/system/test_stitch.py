@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import PIL.Image
@@ -228,13 +229,82 @@ def test_tools_that_are_not_installed_or_fail(
     tools = tmp_path / "bin"
     tools.mkdir()
     monkeypatch.setenv("PATH", str(tools))
-    assert app.run(["stitch", str(copy), "--restart"]) == 3
-    assert "not installed (missing: cpfind, nona): install them with" in capsys.readouterr().err
+    assert app.run(["stitch", str(copy), "--restart", "--matcher", "cpfind"]) == 3
+    assert "not installed (missing: nona, cpfind): install them with" in capsys.readouterr().err
     for name in ("cpfind", "nona"):
         (tools / name).write_text("#!/bin/sh\necho went wrong\nexit 7\n")
         (tools / name).chmod(0o755)
-    assert app.run(["stitch", str(copy), "--restart"]) == 3
+    assert app.run(["stitch", str(copy), "--restart", "--matcher", "cpfind"]) == 3
     assert "cpfind ended with code 7: went wrong" in capsys.readouterr().err
+    assert app.run(["stitch", str(copy), "--restart"]) == 3
+    assert "nona ended with code 7: went wrong" in capsys.readouterr().err
+
+
+def _stitch_json(folder: Path, capsys: pytest.CaptureFixture[str], *options: str) -> tuple[int, dict[str, Any]]:
+    capsys.readouterr()
+    code = app.run(["stitch", str(folder), "--restart", "--json", *options])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_all_photos_one_place_off_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "20260921T141300.000Z"
+    poses = ring_poses([(-68.0, 4), (-35.0, 7), (-8.0, 6)])
+    write_mission(folder, CAMERA, poses, procedural_scene(1, 2048), width_px=WIDTH, band=BAND, seed=3)
+    photos = sorted((folder / "images").glob("*.jpg"))
+    contents = [photo.read_bytes() for photo in photos]
+    for photo, content in zip(photos, [*contents[1:], contents[0]], strict=True):
+        photo.write_bytes(content)
+    code, document = _stitch_json(folder, capsys)
+    assert code == 1
+    assert document["completeness"] is None
+    assert len(document["content"]["bad"]) > len(photos) / 2
+    assert not (folder / "stitch" / "panorama.tif").exists()
+
+
+def test_a_black_and_a_wrong_photo_do_not_count(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    photos = sorted((copy / "images").glob("*.jpg"))
+    with PIL.Image.open(photos[2]) as picture:
+        size = picture.size
+    PIL.Image.new("RGB", size).save(photos[2])
+    shutil.copyfile(photos[0], photos[5])
+    code, document = _stitch_json(copy, capsys)
+    assert code == 1
+    named = {entry["shot"]: entry["code"] for entry in document["content"]["bad"]}
+    assert named == {2: "exposure", 5: "contradicts"}
+    assert {entry["file"] for entry in document["content"]["bad"]} == {f"images/{photos[k].name}" for k in (2, 5)}
+    assert document["completeness"]["hole_px"] > 0
+    assert document["images"] == len(photos) - 2
+
+
+def test_differences_of_exposure_are_evened_out(
+    copy: Path, stitched: tuple[int, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    photos = sorted((copy / "images").glob("*.jpg"))
+    stops = [0.0, 0.8, -0.6, 0.4, -0.8, 0.6, -0.4]
+    for photo, change in zip(photos, stops, strict=True):
+        with PIL.Image.open(photo) as picture:
+            exif = picture.getexif()
+            values = np.asarray(picture, dtype=float) / 255
+        changed = 255 * np.clip(0.6 * values * 2 ** (change / 2.2), 0, 1)
+        PIL.Image.fromarray(changed.astype(np.uint8)).save(photo, quality=92, exif=exif)
+    code, document = _stitch_json(copy, capsys)
+    assert code == 0
+    told = np.log2([document["content"]["gains"][f"images/{photo.name}"] for photo in photos]).mean(axis=1)
+    wanted = np.mean(stops) - np.array(stops)
+    assert np.abs(told - wanted).max() < 0.1
+    with PIL.Image.open(copy / "stitch" / "panorama.jpg") as one, PIL.Image.open(stitched[1] / "panorama.jpg") as other:
+        ours, before = (
+            np.asarray(picture.convert("L"), dtype=float)[picture.height * 6 // 10 :] for picture in (one, other)
+        )
+    ratio = ours[before > 20] / before[before > 20]
+    assert ratio.std() / ratio.mean() < 0.08, "no patchwork: the same scene, evenly darker"
+
+
+def test_hugins_matcher_is_an_option(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, document = _stitch_json(copy, capsys, "--matcher", "cpfind")
+    assert code == 0
+    assert document["points"] > 50
+    assert document["content"]["bad"] == []
 
 
 @pytest.mark.parametrize(

@@ -124,7 +124,7 @@ def test_tools_die_with_their_caller_and_their_words_are_told(tmp_path: Path, mo
     with pytest.raises(ToolError, match="cannot be started"):
         run_tool(["no-such-tool"], tmp_path)
     with pytest.raises(ToolError, match=r"missing: cpfind\)"):
-        check_tools()
+        check_tools(cpfind=True)
 
 
 def test_a_full_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
