@@ -330,14 +330,17 @@ class Shooter:
         if isinstance(self.camera, ReportsUndated):
             bound_s = max(bound_s, self.camera.undated_hold_s)
         latest_s = fired_s + bound_s
+        level = EvidenceLevel.COUNTED if self.lag.until_report else EvidenceLevel.FEEDBACK_PIN
         try:
-            found = await capture.evidence(EvidenceLevel.FEEDBACK_PIN, latest_s - capture.commanded_s)
+            found = await capture.evidence(level, latest_s - capture.commanded_s)
         except DeviceError:
             found = None
         if found is not None and found.level >= EvidenceLevel.CAPTURE_MESSAGE:
             latest_s = min(latest_s, found.received_s)
         elif found is not None and found.level >= EvidenceLevel.FEEDBACK_PIN:
             latest_s = min(latest_s, found.received_s + self.settings.exposure_s)
+        elif found is not None and math.isfinite(found.exposed_s):
+            latest_s = min(latest_s, max(fired_s, found.exposed_s) + self.settings.exposure_bound_s)
         await self.clock.sleep(latest_s - self.clock.monotonic())
         return latest_s
 

@@ -35,6 +35,8 @@ class ShutterLag:
         self._configured_s = configured_s
         self._measured_s: deque[float] = deque(maxlen=_REMEMBERED)
         self._warned = False
+        self.until_report = False
+        """Whether the pose must be held until the autopilot reports that it triggered."""
 
     @property
     def bound_s(self) -> float:
@@ -52,25 +54,47 @@ class ShutterLag:
     def note(self, found: CaptureEvidence, commanded_s: float) -> str:
         """Add the date of a photo; returns a warning for the operator, "" if there is none."""
         if is_undatable(found):
-            report_s = found.received_s - commanded_s  # the shutter opened before the report: wait for that long
-            if 0 <= report_s <= _MAX_LAG_S:
-                self._measured_s.append(report_s)
+            self._note_report(found.received_s - commanded_s)
             return ""
         if is_only_counted(found):
             return self._note_count(found.counted_s - commanded_s)
-        if not is_dated(found) or found.level < EvidenceLevel.FEEDBACK_PIN:
+        if not is_dated(found):
             return ""
-        lag_s = found.exposed_s - commanded_s
+        if found.level < EvidenceLevel.FEEDBACK_PIN:
+            return self._note_trigger_report(found.exposed_s - commanded_s, found.exposed_error_s)
+        return self._note_date(found.exposed_s - commanded_s, found.exposed_error_s)
+
+    def _note_date(self, lag_s: float, error_s: float) -> str:
+        """The camera tells when its shutter opened."""
         if not 0 <= lag_s <= _MAX_LAG_S:
             return ""
-        self._measured_s.append(lag_s + found.exposed_error_s)
+        self._measured_s.append(lag_s + error_s)
         if self._warned or lag_s <= self._configured_s + _WARN_ABOVE_S:
             return ""
         self._warned = True
-        advised_s = math.ceil(10 * (lag_s + found.exposed_error_s)) / 10
+        advised_s = math.ceil(10 * (lag_s + error_s)) / 10
         return (
             f"the camera exposes {lag_s:.2f} s after its trigger, [camera] latency_s is {self._configured_s:g}: "
             f"set it to {advised_s:g}"
+        )
+
+    def _note_report(self, reported_after_s: float) -> None:
+        """The shutter opened before the report: wait for so long."""
+        if 0 <= reported_after_s <= _MAX_LAG_S:
+            self._measured_s.append(reported_after_s)
+
+    def _note_trigger_report(self, reported_after_s: float, error_s: float) -> str:
+        """The photo was taken when its trigger was reported, or before: hold the pose until then."""
+        if not error_s < reported_after_s <= _MAX_LAG_S:
+            return ""
+        self._measured_s.append(reported_after_s + error_s)
+        self.until_report = True
+        if self._warned or reported_after_s <= self._configured_s + _WARN_ABOVE_S:
+            return ""
+        self._warned = True
+        return (
+            f"the autopilot reports its triggers {reported_after_s:.1f} s after they were commanded: each pose is held"
+            " until then"
         )
 
     def _note_count(self, counted_after_s: float) -> str:

@@ -31,6 +31,10 @@ APART_S: Final = 0.5
 _HELD_UP_S: Final = 1.0
 """While a message is suspected that is late by no more than this, dates are widened by it; beyond, they wait."""
 _AGREE_S: Final = 0.1
+_RESOLUTIONS_MS: Final = (1000, 100)
+"""Stamps that are all multiples of one of these are coarse."""
+_COARSE_STAMPS: Final = 4
+"""So many stamps have to agree."""
 _LATEST_REPORT_S: Final = 10.0
 """How long a report may be under way."""
 
@@ -55,6 +59,7 @@ class CameraClock:
         self.in_doubt_since_s = math.inf
         """The last message before the last step: dates of reports that arrived after it and before the step was found
         may be wrong."""
+        self._step_ms, self._told_ms = 0, set[int]()
         self.steps = 0
         """How often the camera's clock was found stepped, or the camera rebooted."""
         self.step_s = 0.0
@@ -91,8 +96,10 @@ class CameraClock:
         """
         if not (math.isfinite(stamp_s) and math.isfinite(received_s)):
             return
+        self._learn_resolution(stamp_s)
         if self._pairs:
             predicted_s, error_s = self._predict(stamp_s)
+            error_s += self.resolution_s
             if received_s < predicted_s - error_s - DELAY_S:  # arrived before it was sent: stepped forward
                 self._restart([], received_s, predicted_s - received_s)
             elif received_s > predicted_s + error_s + LATE_S:
@@ -116,6 +123,8 @@ class CameraClock:
         if not self._pairs or math.isnan(stamp_s):
             return math.nan, math.nan
         predicted_s, error_s = self._predict(stamp_s)
+        # rounded down, as those that relate the clocks: the fastest of them was rounded least
+        predicted_s, error_s = predicted_s + self.resolution_s / 2, error_s + self.resolution_s / 2
         if 0 < predicted_s - received_s <= error_s + DELAY_S:
             predicted_s = received_s
         error_s += DELAY_S
@@ -130,6 +139,21 @@ class CameraClock:
         if may_be_old == may_be_new:
             return math.nan, math.nan
         return (predicted_s, error_s) if may_be_new else (old_s, old_error_s)
+
+    @property
+    def resolution_s(self) -> float:
+        """What all stamps are multiples of, seconds; 0 if they are fine enough."""
+        if len(self._told_ms) < _COARSE_STAMPS:
+            return 0.0
+        return next((step_ms / 1000.0 for step_ms in _RESOLUTIONS_MS if self._step_ms % step_ms == 0), 0.0)
+
+    def _learn_resolution(self, stamp_s: float) -> None:
+        if stamp_s == 0:
+            return
+        stamp_ms = round(stamp_s * 1000.0)
+        self._step_ms = math.gcd(self._step_ms, stamp_ms)
+        if len(self._told_ms) < _COARSE_STAMPS:
+            self._told_ms.add(stamp_ms)
 
     def _predict(self, stamp_s: float) -> tuple[float, float]:
         """When a message with that stamp would arrive without any delay, by the fastest of those known."""
@@ -183,4 +207,4 @@ class CameraClock:
         ]
         if slopes:
             self._rate = median(slopes)
-            self._rate_error = min(RATE_BOUND, DELAY_S / span_s + _DRIFT)
+            self._rate_error = min(RATE_BOUND, (DELAY_S + self.resolution_s) / span_s + _DRIFT)

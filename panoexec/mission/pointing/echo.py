@@ -132,7 +132,8 @@ class EchoWatch:
 
     def _note_delay(self, times: FloatArray, to_target: FloatArray, commanded_s: float) -> bool:
         nearer = np.flatnonzero((to_target < to_target[0] - MOVED_DEG) & (times > commanded_s))
-        if to_target[0] < LEAST_TIMED_DEG or not len(nearer):
+        arrived = to_target[-1] <= _BESIDE_FRAC * to_target[0]  # else nothing tells which motion the command caused
+        if to_target[0] < LEAST_TIMED_DEG or not len(nearer) or not arrived:
             return False
         travel_s = math.sqrt(2 * MOVED_DEG / STARTS_DEG_S2)
         self._delays.append(max(float(times[nearer[0]]) - commanded_s - travel_s, 0.0))

@@ -213,3 +213,15 @@ def test_the_wait_for_an_irregular_shutter_has_a_reserve() -> None:
         )
         lag.note(found, 10.0)
     assert lag.bound_s == pytest.approx(1.45 + 0.5)
+
+
+def test_a_pose_is_held_until_the_autopilot_reports_a_trigger_that_it_reports_late() -> None:
+    """CAMERA_FEEDBACK without a pin: the exposure may have been any time until it came."""
+    lag = ShutterLag(0.1)
+    found = CaptureEvidence(level=EvidenceLevel.COUNTED, received_s=99.0, exposed_s=10.05, exposed_error_s=0.1)
+    assert lag.note(found, 10.0) == ""
+    assert (lag.bound_s, lag.until_report) == (0.1, False)
+    found = CaptureEvidence(level=EvidenceLevel.COUNTED, received_s=99.0, exposed_s=10.8, exposed_error_s=0.1)
+    assert "reports its triggers 0.8 s after they were commanded" in lag.note(found, 10.0)
+    assert lag.bound_s == pytest.approx(0.9)
+    assert lag.until_report

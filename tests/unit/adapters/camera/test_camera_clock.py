@@ -35,23 +35,23 @@ def test_a_date_is_wrong_by_no_more_than_it_says(rate: float, boot: float, seed:
     clock = CameraClock()
     for sent_s in range(1000, 1200, 4):
         held_up = rng.uniform(0.3, 2.0) if sent_s % 8 and rng.random() < 0.1 and 1010 < sent_s < 1190 else 0.0
-        clock.note(boot + rate * (sent_s - 1000), sent_s + rng.uniform(0.005, 0.045) + held_up)
+        clock.note(boot + 0.0137 + rate * (sent_s - 1000), sent_s + rng.uniform(0.005, 0.045) + held_up)
         truth_s = sent_s + rng.uniform(0.1, 3.9)
-        found_s, error_s = clock.date(boot + rate * (truth_s - 1000), truth_s + 10)
+        found_s, error_s = clock.date(boot + 0.0137 + rate * (truth_s - 1000), truth_s + 10)
         assert abs(found_s - truth_s) <= error_s + 1e-6
     assert clock.rate == pytest.approx(1 / rate, abs=0.002)
-    assert error_s < DELAY_S + 0.03
+    assert error_s < DELAY_S + 0.03 + clock.resolution_s
 
 
 @pytest.mark.parametrize("step_s", [-300.0, -3.0, -0.7, 0.7, 3.0, 300.0])
 def test_two_messages_after_a_step_relate_the_clocks_anew(step_s: float) -> None:
     clock = CameraClock()
     for sent_s in range(0, 40, 4):
-        clock.note(500.0 + sent_s, sent_s + 0.02)
+        clock.note(500.003 + sent_s, sent_s + 0.02)
     for again_s in (40.0, 40.6):
-        clock.note(500.0 + again_s + step_s, again_s + 0.02)
+        clock.note(500.003 + again_s + step_s, again_s + 0.02)
     assert clock.steps == 1
-    found_s, error_s = clock.date(541.0 + step_s, 52.0)
+    found_s, error_s = clock.date(541.003 + step_s, 52.0)
     assert found_s == pytest.approx(41.0, abs=error_s)
     assert error_s < 0.1
 
@@ -60,45 +60,62 @@ def test_two_messages_after_a_step_relate_the_clocks_anew(step_s: float) -> None
 def test_a_stamp_that_may_be_from_before_a_step_and_from_after_it_is_not_dated(step_s: float, is_dated: bool) -> None:
     clock = CameraClock()
     for sent_s in range(0, 40, 4):
-        clock.note(500.0 + sent_s, sent_s + 0.02)
+        clock.note(500.003 + sent_s, sent_s + 0.02)
     for again_s in (40.0, 40.6):
-        clock.note(500.0 + again_s + step_s, again_s + 0.02)
+        clock.note(500.003 + again_s + step_s, again_s + 0.02)
     # 41 s by the clock as it is now; by the clock before a step back 38 s, by the one before a step forward 44 s
-    assert math.isfinite(clock.date(541.0 + step_s, 42.0)[0]) is is_dated
+    assert math.isfinite(clock.date(541.003 + step_s, 42.0)[0]) is is_dated
     # a report of a photo from before the step that was long under way
-    found_s, error_s = clock.date(535.0, 42.0)
+    found_s, error_s = clock.date(535.003, 42.0)
     assert math.isnan(found_s) or found_s == pytest.approx(35.0, abs=error_s)
 
 
 def test_one_message_that_was_held_up_is_no_step() -> None:
     clock = CameraClock()
     for sent_s in range(0, 40, 4):
-        clock.note(sent_s, sent_s + (2.5 if sent_s == 20 else 0.02))
+        clock.note(sent_s + 0.003, sent_s + (2.5 if sent_s == 20 else 0.02))
     assert clock.steps == 0
-    assert clock.date(38.0, 45.0)[0] == pytest.approx(38.02, abs=0.01)
+    assert clock.date(38.003, 45.0)[0] == pytest.approx(38.02, abs=0.01)
 
 
 def test_messages_that_waited_in_one_queue_are_no_step() -> None:
     """Both late by the same time, as after a stall of this machine: the next message that is on time clears it."""
     clock = CameraClock()
     for sent_s in range(0, 40, 4):
-        clock.note(500.0 + sent_s, sent_s + 0.02)
-    for stamp_s in (540.0, 540.02, 540.05):
-        clock.note(stamp_s, 540.9 + (stamp_s - 540.0) - 500.0)
+        clock.note(500.003 + sent_s, sent_s + 0.02)
+    for stamp_s in (540.003, 540.023, 540.053):
+        clock.note(stamp_s, 540.9 + (stamp_s - 540.003) - 500.0)
     assert clock.steps == 0
-    found_s, error_s = clock.date(541.0, 42.5)  # a step back by 0.9 s, or none
+    found_s, error_s = clock.date(541.003, 42.5)  # a step back by 0.9 s, or none
     assert found_s - error_s <= 41.02 <= 41.92 <= found_s + error_s
-    clock.note(544.0, 44.02)
-    found_s, error_s = clock.date(541.0, 42.5)
+    clock.note(544.003, 44.02)
+    found_s, error_s = clock.date(541.003, 42.5)
     assert found_s == pytest.approx(41.02)
     assert error_s == pytest.approx(DELAY_S, abs=0.01)
+
+
+def test_stamps_in_whole_seconds_are_no_steps_and_make_dates_coarse() -> None:
+    rng = random.Random(3)
+    clock = CameraClock()
+    for number in range(100):
+        sent_s = 10.0 + 3.37 * number
+        clock.note(math.floor(500.0 + sent_s), sent_s + rng.uniform(0.005, 0.04))
+        if number >= 10:
+            truth_s = sent_s + rng.uniform(0.1, 3.0)
+            found_s, error_s = clock.date(math.floor(500.0 + truth_s), truth_s + 4.0)
+            assert abs(found_s - truth_s) <= error_s
+            assert 0.5 <= error_s < (0.7 if number >= 40 else 1.0)
+    assert clock.steps == 0
+    assert clock.resolution_s == 1.0
+    clock.note(1000.417, 510.0)
+    assert clock.resolution_s == 0.0
 
 
 def test_a_photo_is_not_in_doubt_after_a_reboot_of_the_camera() -> None:
     """Its stamp lies in the future by the clock that began anew, so it was given before: nothing is taken again."""
     clock = CameraClock()
     for sent_s in (0.0, 4.0, 8.0):
-        clock.note(500.0 + sent_s, sent_s + 0.01)
+        clock.note(500.003 + sent_s, sent_s + 0.01)
     matcher = CaptureMatcher(clock)
     captures = [Capture(number, clock=VirtualClock()) for number in (1, 2, 3)]
     for number, capture in enumerate(captures):
@@ -116,7 +133,7 @@ def test_a_photo_is_in_doubt_if_its_stamp_may_be_from_after_a_step() -> None:
     """By the clock as it is now it was exposed 3 s earlier: it may be another photo."""
     clock = CameraClock()
     for sent_s in (0.0, 4.0, 5.0):
-        clock.note(500.0 + sent_s, sent_s + 0.01)
+        clock.note(500.003 + sent_s, sent_s + 0.01)
     matcher = CaptureMatcher(clock)
     capture = Capture(1, clock=VirtualClock())
     capture.commanded(10.0)

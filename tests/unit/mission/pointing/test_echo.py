@@ -175,3 +175,12 @@ def test_a_stream_that_falls_behind_is_waited_for_at_once() -> None:
     slew(watch, POSES[3], POSES[4], takes_s=1.0, noise_deg=0.01, delay_s=1.0)
     assert watch.longest_delay_s == pytest.approx(usual_s + 1.0, abs=0.1)
     assert watch.delay_s == pytest.approx(usual_s, abs=0.05), "the median is that of before"
+
+
+def test_a_slew_that_ends_elsewhere_tells_no_age() -> None:
+    """A gimbal that reports in another convention comes nearer to its target by chance, at any time."""
+    watch = EchoWatch()
+    readings = [reading(0.1 * tick, -0.5 * tick, 40.0) for tick in range(60)]
+    shown = watch.slew(readings, commanded_s=0.5, pitch_deg=-40.0, yaw_deg=-120.0)
+    assert not shown
+    assert math.isnan(watch.delay_s)
