@@ -32,9 +32,7 @@ _HELD_UP_S: Final = 1.0
 """While a message is suspected that is late by no more than this, dates are widened by it; beyond, they wait."""
 _AGREE_S: Final = 0.1
 _RESOLUTIONS_MS: Final = (1000, 100)
-"""Stamps that are all multiples of one of these are coarse."""
-_COARSE_STAMPS: Final = 4
-"""So many stamps have to agree."""
+"""Stamps that have all been multiples of one of these are coarse."""
 _LATEST_REPORT_S: Final = 10.0
 """How long a report may be under way."""
 
@@ -59,7 +57,7 @@ class CameraClock:
         self.in_doubt_since_s = math.inf
         """The last message before the last step: dates of reports that arrived after it and before the step was found
         may be wrong."""
-        self._step_ms, self._told_ms = 0, set[int]()
+        self._step_ms = 0
         self.steps = 0
         """How often the camera's clock was found stepped, or the camera rebooted."""
         self.step_s = 0.0
@@ -123,8 +121,7 @@ class CameraClock:
         if not self._pairs or math.isnan(stamp_s):
             return math.nan, math.nan
         predicted_s, error_s = self._predict(stamp_s)
-        # rounded down, as those that relate the clocks: the fastest of them was rounded least
-        predicted_s, error_s = predicted_s + self.resolution_s / 2, error_s + self.resolution_s / 2
+        error_s += self.resolution_s  # of this stamp, or of the one that relates the clocks
         if 0 < predicted_s - received_s <= error_s + DELAY_S:
             predicted_s = received_s
         error_s += DELAY_S
@@ -143,17 +140,12 @@ class CameraClock:
     @property
     def resolution_s(self) -> float:
         """What all stamps are multiples of, seconds; 0 if they are fine enough."""
-        if len(self._told_ms) < _COARSE_STAMPS:
+        if self._step_ms == 0:
             return 0.0
         return next((step_ms / 1000.0 for step_ms in _RESOLUTIONS_MS if self._step_ms % step_ms == 0), 0.0)
 
     def _learn_resolution(self, stamp_s: float) -> None:
-        if stamp_s == 0:
-            return
-        stamp_ms = round(stamp_s * 1000.0)
-        self._step_ms = math.gcd(self._step_ms, stamp_ms)
-        if len(self._told_ms) < _COARSE_STAMPS:
-            self._told_ms.add(stamp_ms)
+        self._step_ms = math.gcd(self._step_ms, round(stamp_s * 1000.0))
 
     def _predict(self, stamp_s: float) -> tuple[float, float]:
         """When a message with that stamp would arrive without any delay, by the fastest of those known."""
