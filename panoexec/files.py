@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-import tempfile
+import secrets
 from collections.abc import Callable
 from pathlib import Path
 
@@ -41,16 +41,14 @@ def write_atomically_with(path: Path, write: Callable[[Path], None], *, sync: bo
     Raises:
         UsageError: the file cannot be written. Other exceptions of `write` propagate; no temporary file remains.
     """
+    temporary = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
     try:
-        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+        # as the umask permits, which a process cannot ask for without setting it
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     except OSError as error:
         raise _unwritable(path, error) from error
-    os.close(descriptor)
-    temporary = Path(name)
     try:
         write(temporary)
-        # mkstemp makes files that only their owner can read
-        temporary.chmod(0o666 & ~_umask())
         if sync:
             to_disk(temporary)
         temporary.replace(path)
@@ -79,10 +77,3 @@ def to_disk(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def _umask() -> int:
-    """The process's umask, which can only be read by setting it."""
-    mask = os.umask(0o022)
-    os.umask(mask)
-    return mask

@@ -39,6 +39,8 @@ COMMANDS: dict[str, Command] = {
     "cameras": Command("cameras", "list the camera profiles, or show one with its field of view"),
     "dry-run": Command("dry_run", "fly a complete mission on a simulated vehicle", extra="sim"),
     "report": Command("report", "write the report of a mission as one self-contained HTML page"),
+    "missions": Command("missions", "list the missions of a storage"),
+    "fetch": Command("fetch", "bring a mission here, from the drone's computer or a folder, and verify its photos"),
     "import": Command("import_card", "put the photos of a memory card into a mission, each with its attempt"),
     "salvage": Command("salvage", "recover the longest true part of a mission whose journal is damaged"),
     "stitch": Command("stitch", "stitch the photos of a mission with Hugin and measure completeness", extra="report"),

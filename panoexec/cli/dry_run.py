@@ -75,6 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     mission.add_argument(
         "--accept", choices=("tolerance", "overlap"), default="tolerance", help="acceptance rule (tolerance)"
     )
+    mission.add_argument("--name", default="", metavar="TEXT", help="what people call the mission")
     mission.add_argument("--no-images", action="store_true", help="do not render the photos")
     mission.add_argument("--verbose", action="store_true", help="log messages of links and devices to stderr")
     mission.add_argument("--json", action="store_true", help="print the summary as one JSON document on stdout")
@@ -183,6 +184,7 @@ def _options(args: argparse.Namespace) -> DryRunOptions:
         simulation=simulation,
         storage=args.output,
         reference=args.reference,
+        name=args.name,
         images=not args.no_images,
         sitl=sitl,
         connect=args.sitl_connect,

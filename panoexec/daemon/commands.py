@@ -27,6 +27,7 @@ from panoexec.mqtt.messages import Response, dump, failed, ok
 from panoexec.mqtt.parsing import parse_request
 from panoexec.mqtt.requests import (
     DoctorRequest,
+    MissionsRequest,
     PlanRequest,
     RefusedRequestError,
     RepeatRequest,
@@ -39,6 +40,7 @@ from panoexec.mqtt.requests import (
 )
 from panoexec.mqtt.transaction_file import FORGOTTEN
 from panoexec.mqtt.transactions import Transactions
+from panoexec.store.listing import list_missions
 
 CAMERA: Final = "camera"
 
@@ -173,6 +175,8 @@ class Commands:
             case ResumeRequest():
                 assert beginning is not None
                 data = await self._resume(incoming, beginning)
+            case MissionsRequest():
+                data = await self._list(request.newest)
             case DoctorRequest():
                 data = await self._examine(photo=request.photo)
             case SetProfileRequest():
@@ -182,6 +186,10 @@ class Commands:
             case _:
                 data = self._refresh()
         return data
+
+    async def _list(self, newest: int) -> dict[str, Any]:
+        found = await asyncio.to_thread(list_missions, self._config().storage.path, newest=newest)
+        return {"missions": [entry.document() for entry in found]}
 
     async def _command(self, request: SkipRequest | RepeatRequest) -> dict[str, Any]:
         mission = await self._missions.under_way()
@@ -212,8 +220,9 @@ class Commands:
             except TimeoutError:
                 raise expired() from None
             incoming.check_fresh()
-            name = await self._missions.begin(plan, settings, devices, request.reference or config.mission.reference)
-        return {"mission_id": name} | planned(plan)
+            reference = request.reference or config.mission.reference
+            mission_id = await self._missions.begin(plan, settings, devices, reference, name=request.name)
+        return {"mission_id": mission_id} | planned(plan)
 
     async def _resume(self, incoming: Incoming, beginning: Beginning) -> dict[str, Any]:
         mission = await self._missions.under_way()

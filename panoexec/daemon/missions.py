@@ -28,7 +28,7 @@ from panoexec.planning.model import Plan
 from panoexec.report.mission_outputs import write_mission_outputs
 from panoexec.store.catalogue import catalogue
 from panoexec.store.directory import mission_directories
-from panoexec.store.rebuilding import VEHICLE
+from panoexec.store.rebuilding import NAME, VEHICLE, mission_name
 from panoexec.store.session import (
     Devices,
     MissionSession,
@@ -70,6 +70,7 @@ class Missions:
     Attributes:
         record: of the running, the last, or the offered mission; None without one.
         plan: its plan.
+        name: its name for people, "" for none.
         mission: the executor while a mission runs.
         beginning: the mission that has the mission slot and does not exist yet.
         offer: the interrupted mission that `resume` continues.
@@ -98,6 +99,7 @@ class Missions:
             fetchers: returns the ways to bring the camera's files here.
         """
         self.record: MissionRecord | None = None
+        self.name = ""
         self.plan: Plan | None = None
         self.mission: Mission | None = None
         self.beginning: Beginning | None = None
@@ -195,8 +197,10 @@ class Missions:
             self._free()
             raise
 
-    async def begin(self, plan: Plan, settings: MissionSettings, devices: Devices, reference: Reference) -> str:
-        """Create a new mission and start it; returns its id. Only while `claimed`.
+    async def begin(
+        self, plan: Plan, settings: MissionSettings, devices: Devices, reference: Reference, *, name: str = ""
+    ) -> str:
+        """Create a new mission, which people call `name`, and start it; returns its id. Only while `claimed`.
 
         Raises:
             MissionStorageError: it cannot be stored.
@@ -211,7 +215,7 @@ class Missions:
                 plan=plan,
                 settings=settings,
                 now_utc_s=self._clock.time(),
-                extra={REFERENCE: reference, VEHICLE: self._about_vehicle()},
+                extra={REFERENCE: reference, VEHICLE: self._about_vehicle(), NAME: name},
             )
         except PanoexecError as error:
             raise MissionStorageError(str(error)) from error
@@ -271,7 +275,7 @@ class Missions:
         name = stored.directory.mission_id
         record = MissionRecord.from_events(mission_id=name, shots=stored.plan.shots, events=stored.events)
         self.offer = Offer(stored_id=name, record=record, plan=stored.plan)
-        self.record, self.plan = record, stored.plan
+        self.record, self.plan, self.name = record, stored.plan, mission_name(stored.extra)
         _log.info("an interrupted mission can be resumed", mission_id=name, state=record.state.value)
         return record.state is not MissionState.FAILED and not record.asked.pause
 
@@ -330,6 +334,7 @@ class Missions:
         with structlog.contextvars.bound_contextvars(mission_id=stored.directory.mission_id):
             async with opened as session:
                 self.mission, self.record, self.plan = session.mission, session.mission.record, stored.plan
+                self.name = mission_name(stored.extra)
                 self._give_stops(session.mission)
                 self._changed()
                 record = await session.run()

@@ -147,6 +147,7 @@ class StatePublisher:
         return State(
             state=state,
             mission_id=None if record is None else record.mission_id,
+            name="" if record is None else self._missions.name,
             shots_total=0 if record is None else record.shots_total,
             shots_done=0 if record is None else record.shots_done,
             attempts=0 if record is None else record.attempts,

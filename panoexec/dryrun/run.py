@@ -36,7 +36,7 @@ from panoexec.sim.config import SimConfig
 from panoexec.store.directory import discard_mission_directory, existing_mission_directory
 from panoexec.store.landed_mission import LandedMission
 from panoexec.store.photo_collector import PhotoCollector
-from panoexec.store.rebuilding import restore_manifest
+from panoexec.store.rebuilding import NAME, restore_manifest
 from panoexec.store.session import Devices, MissionSession, StoredMission, create_mission, open_mission
 
 CARD = "camera"
@@ -53,6 +53,7 @@ class DryRunOptions:
         simulation: the simulated vehicle; its port and output are chosen here.
         storage: the mission directory is created in its folder `missions`.
         reference: direction of yaw 0.
+        name: what people call the mission.
         images: whether the camera writes JPEGs into the mission directory.
         sitl: use ArduPilot's SITL instead (the binary, see `panoexec.dryrun.autopilot.sitl_binary`).
         connect: use a vehicle that is already running instead, without arming or moving it (connection string); the
@@ -64,6 +65,7 @@ class DryRunOptions:
     simulation: SimConfig
     storage: Path
     reference: Literal["north", "heading"] = "north"
+    name: str = ""
     images: bool = True
     sitl: Path | None = None
     connect: str | None = None
@@ -166,6 +168,7 @@ async def run_dry_run(
         "simulation": sim_settings.to_json(options.simulation),
         "images": options.images,
         "reference": options.reference,
+        NAME: options.name,
         "sitl": None if options.sitl is None else str(options.sitl),
         "connect": options.connect,
     }

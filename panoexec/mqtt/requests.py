@@ -200,10 +200,23 @@ class PlanRequest(Request):
 
 
 class StartRequest(PlanRequest):
-    """Start a mission; same fields as `plan`."""
+    """Start a mission; the fields of `plan`, and its name.
+
+    Attributes:
+        name: for people: in the state, the manifest, the report and the list of missions.
+    """
 
     command: ClassVar[str] = "start"
     acts: ClassVar[bool] = True
+
+    name: Annotated[str, Strict(), Field(max_length=80)] = ""
+
+    @field_validator("name")
+    @classmethod
+    def _is_one_line(cls, value: str) -> str:
+        if not value.isprintable():
+            raise ValueError("must be one line of printable characters")
+        return value.strip()
 
 
 class StopRequest(Request):
@@ -257,6 +270,19 @@ class GetRequest(Request):
     acts: ClassVar[bool] = False
 
 
+class MissionsRequest(Request):
+    """Return the newest missions of the storage: id, name, state, shots, photos present, size.
+
+    Attributes:
+        newest: how many.
+    """
+
+    command: ClassVar[str] = "missions"
+    acts: ClassVar[bool] = False
+
+    newest: Annotated[int, Strict(), Field(ge=1, le=50)] = 10
+
+
 class DoctorRequest(Request):
     """Examine link, rates, gimbal, camera, broker and computer; nothing moves.
 
@@ -297,6 +323,7 @@ REQUESTS: dict[str, type[Request]] = {
         RepeatRequest,
         GetRequest,
         DoctorRequest,
+        MissionsRequest,
         SetProfileRequest,
     )
 }

@@ -39,6 +39,7 @@ def page_data(source: Source, *, made_utc_s: float) -> dict[str, Any]:
         "made": {"version": __version__, "time": datetime.fromtimestamp(made_utc_s, UTC).isoformat(timespec="seconds")},
         "mission": {
             "id": str(manifest.get("mission_id", source.folder.name)),
+            "name": str(manifest.get("name") or ""),
             "state": str(manifest.get("state", "")),
             "reason": str(manifest.get("reason", "")),
             "times": manifest.get("times", {}),

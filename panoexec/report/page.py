@@ -40,7 +40,7 @@ def render_page(data: Mapping[str, Any], panorama: Panorama | None) -> str:
     summary = f"{mission['state']}: {counts['shots_done']} of {counts['shots_total']} shots. {mission['reason']}"
     parts = {
         "policy": html.escape(policy, quote=True),
-        "title": html.escape(f"{mission['id']} · {mission['state']} · panoexec"),
+        "title": html.escape(f"{mission['name'] or mission['id']} · {mission['state']} · panoexec"),
         "noscript": html.escape(summary),
         "style": f"<style>{styles}</style>",
         "data": f'<script type="application/json" id="data">{embedded_json(data)}</script>',

@@ -55,6 +55,7 @@ class ManifestWriter:
         plan: the mission's plan.
         record: the mission's record, read when the file is written.
         vehicle: data on the vehicle, as JSON.
+        name: what people call the mission, "" for none.
         clock: the mission's clock.
         certificate: returns the certificate of the measured attitudes; called when the file is written.
         every_s: least time between two writes while the mission runs.
@@ -72,6 +73,7 @@ class ManifestWriter:
         certificate: Callable[[], Certificate | None],
         every_s: float = 2.0,
         battery: Callable[[], float] = lambda: math.nan,
+        name: str = "",
     ) -> None:
         self._path = path
         self._plan = plan
@@ -81,6 +83,7 @@ class ManifestWriter:
         self._certificate = certificate
         self._every_s = every_s
         self._battery = battery
+        self._name = name
         self._charges = _earlier_charges(path)
         self._dirty = asyncio.Event()
         self._events = record.seq
@@ -153,6 +156,7 @@ class ManifestWriter:
             "digest": "",
             "journal": {"events": self._events},
             "mission_id": record.mission_id,
+            "name": self._name,
             "state": record.state.value,
             "reason": record.reason,
             "vehicle": dict(self._vehicle),

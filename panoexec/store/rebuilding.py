@@ -24,6 +24,8 @@ from panoexec.store.manifest import ManifestWriter, manifest_events, read_manife
 
 VEHICLE = "vehicle"
 """Extra data in the journal's head: the manifest's data on the vehicle."""
+NAME = "name"
+"""Extra data in the journal's head: what people call the mission."""
 
 
 class LostEventsError(UsageError):
@@ -113,10 +115,17 @@ def derived_manifest(directory: MissionDirectory, contents: JournalContents) -> 
         plan=plan,
         record=record,
         vehicle=_vehicle(directory, extra),
+        name=mission_name(extra),
         clock=SystemClock(),
         certificate=lambda: certificate,
     )
     return writer.text()
+
+
+def mission_name(extra: Mapping[str, Any]) -> str:
+    """What people call a mission; "" without a name."""
+    name = extra.get(NAME)
+    return name if isinstance(name, str) else ""
 
 
 def _vehicle(directory: MissionDirectory, extra: Mapping[str, Any]) -> Mapping[str, Any]:

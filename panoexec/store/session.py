@@ -236,6 +236,7 @@ class MissionSession:
                 clock=clock,
                 certificate=lambda: mission.certificate,
                 battery=lambda: devices.vehicle.status.battery_frac,
+                name=str(stored.extra.get("name") or ""),
             )
             messenger = PilotMessenger(vehicle=devices.vehicle, record=mission.record)
             folder = stored.directory.path

@@ -9,7 +9,7 @@ function head() {
   const place = mission.position, spot = isNumber(place.latitude_deg)
     ? `${Math.abs(place.latitude_deg).toFixed(5)}° ${place.latitude_deg < 0 ? "S" : "N"}, ${Math.abs(place.longitude_deg).toFixed(5)}° ${place.longitude_deg < 0 ? "W" : "E"}` : null;
   document.getElementById("head").append(
-    el("h1", {}, `Mission ${mission.id}`), pill(mission.state, STATES[mission.state]),
+    el("h1", {}, mission.name ? `${mission.name} (${mission.id})` : `Mission ${mission.id}`), pill(mission.state, STATES[mission.state]),
     el("p", {}, [mission.reason, when(mission.times.started), data.camera.name, spot].filter(Boolean).join(" · ")),
   );
 }

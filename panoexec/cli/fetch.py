@@ -1,0 +1,155 @@
+"""Bring a mission here: from the drone's computer by rsync over ssh, or from a folder; without MISSION the newest one.
+
+Files that are here already are not copied again, and an interrupted transfer goes on. Every photo that the manifest
+gives a SHA-256 is verified afterwards. On the drone the user of the ssh connection must be a member of the group
+panoexec (`adduser USER panoexec`).
+
+Exit code 1: photos are missing or differ from the manifest. 2: no such mission or storage. 3: rsync is missing or
+fails.
+
+Examples:
+  panoexec fetch --from pi@drone.local
+  panoexec fetch 20260921T141320.000Z --from pi@drone.local:/srv/panoexec --to flown
+  panoexec fetch --from /media/disk/panoexec
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+from functools import partial
+from pathlib import Path
+
+from panoexec.cli.output import note, print_json
+from panoexec.errors import DeviceError, PanoexecError, UsageError
+from panoexec.files import write_atomically_with
+from panoexec.inputs.config import StorageSection
+from panoexec.store.directory import MissionDirectory
+from panoexec.store.manifest import read_manifest
+from panoexec.store.photo_store import hash_file
+
+_ID = re.compile(r"\d{8}T\d{6}\.\d{3}Z")
+_HOST = re.compile(r"(?:[A-Za-z0-9][A-Za-z0-9._-]*@)?(?:[A-Za-z0-9][A-Za-z0-9.-]*|\[[0-9A-Fa-f:]+\])")
+_SHOWN = 8
+
+
+class _TransferError(DeviceError):
+    """rsync is missing or failed."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's options."""
+    parser.add_argument("mission", nargs="?", metavar="MISSION", help="mission id (default: the newest one)")
+    parser.add_argument(
+        "--from",
+        dest="source",
+        required=True,
+        metavar="SOURCE",
+        help="[USER@]HOST, [USER@]HOST:STORAGE or a storage folder",
+    )
+    parser.add_argument("--to", type=Path, default=Path(), metavar="DIR", help="where the mission is put (.)")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON document on stdout")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Copy and verify."""
+    if args.mission is not None and not _ID.fullmatch(args.mission):
+        raise UsageError(f"{args.mission}: not a mission id; expected one like 20260921T141320.000Z")
+    folder = Path(args.source) / "missions" if Path(args.source).is_dir() else None
+    remote = "" if folder is not None else _missions_of(args.source)
+    name = args.mission or _newest(_names(folder, remote), args.source)
+    target = args.to / name
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{target}: cannot be created ({error.strerror})") from error
+    if folder is not None:
+        _copy(folder / name, target)
+    else:
+        # hidden: parts of photos and temporary files, which are being written there
+        _rsync("--archive", "--partial", "--exclude=.*", f"{remote}/{name}/", f"{target}/")
+    problems = _problems(MissionDirectory(target))
+    if args.json:
+        print_json({"mission": str(target), "problems": problems})
+    else:
+        print(target)
+    for problem in problems[:_SHOWN]:
+        note(problem)
+    if len(problems) > _SHOWN:
+        note(f"… and {len(problems) - _SHOWN} more")
+    return 1 if problems else 0
+
+
+def _missions_of(source: str) -> str:
+    """The folder `missions` of a host, as rsync names it."""
+    if "/" in source.partition(":")[0]:
+        raise UsageError(f"--from {source}: no such folder")
+    host, _, storage = source.rpartition(":") if re.search(r":[/~.]", source) else (source, "", "")
+    if not _HOST.fullmatch(host):
+        raise UsageError(f"--from {source}: expected [USER@]HOST, [USER@]HOST:STORAGE or a folder")
+    return f"{host}:{storage or StorageSection().path}/missions"
+
+
+def _names(folder: Path | None, remote: str) -> list[str]:
+    """What is in the folder `missions`."""
+    if folder is not None:
+        return [path.name for path in folder.iterdir()] if folder.is_dir() else []
+    return [line.split()[-1] for line in _rsync("--list-only", f"{remote}/").splitlines() if line.startswith("d")]
+
+
+def _newest(names: list[str], source: str) -> str:
+    found = sorted(name for name in names if _ID.fullmatch(name))
+    if not found:
+        raise UsageError(f"--from {source}: there is no mission")
+    return found[-1]
+
+
+def _copy(source: Path, target: Path) -> None:
+    """Copy what is not there yet; each file appears whole."""
+    if not source.is_dir():
+        raise UsageError(f"{source}: there is no such mission")
+    for path in sorted(source.rglob("*")):
+        inner = path.relative_to(source)
+        if not path.is_file() or any(part.startswith(".") for part in inner.parts):
+            continue
+        there = target / inner
+        state = path.stat()
+        if there.is_file() and (there.stat().st_size, there.stat().st_mtime) == (state.st_size, state.st_mtime):
+            continue
+        there.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically_with(there, partial(shutil.copyfile, path))
+        os.utime(there, ns=(state.st_atime_ns, state.st_mtime_ns))
+
+
+def _rsync(*arguments: str) -> str:
+    if shutil.which("rsync") is None:
+        raise _TransferError("rsync is not installed: apt-get install rsync")
+    done = subprocess.run(["rsync", *arguments], capture_output=True, text=True, check=False)  # noqa: S603, S607
+    if done.returncode:
+        lines = [line for line in done.stderr.splitlines() if line.strip()]
+        raise _TransferError(f"rsync failed: {lines[0] if lines else f'exit code {done.returncode}'}")
+    return done.stdout
+
+
+def _problems(directory: MissionDirectory) -> list[str]:
+    """Photos that are missing or are not those of the manifest."""
+    try:
+        manifest = read_manifest(directory.manifest)
+    except PanoexecError as error:
+        return [str(error)]
+    out = []
+    for shot in manifest["shots"]:
+        file, digest = shot.get("file"), shot.get("sha256")
+        if shot.get("accepted_attempt") is None or not file or not digest:
+            continue
+        try:
+            is_same = hash_file(directory.path / file)[1] == digest
+        except OSError:
+            out.append(f"shot {shot['index']}: {file} is missing")
+        else:
+            if not is_same:
+                out.append(f"shot {shot['index']}: {file} is not the photo of the manifest")
+    return out
