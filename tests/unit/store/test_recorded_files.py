@@ -160,6 +160,13 @@ def test_the_manifest_can_be_written_anew_from_plan_and_journal(mission: Mission
     assert written.pop("journal") == {"events": EVENTS}
     assert len(written.pop("digest")) == 32
     assert written.pop("gimbal")["manager"] is None, "no event of that version names it"
+    assert written.pop("name") == ""
+    for shot in written["shots"]:
+        for where in (shot, *shot["attempts"]):
+            assert where.pop("sha256") is None
+        for photo in (photo for attempt in shot["attempts"] for photo in attempt["photos"]):
+            assert photo.pop("told") == photo["file"]
+            assert [photo.pop(name) for name in ("sha256", "size_bytes", "source", "raw")] == [None] * 4
     orders = [attempt.pop("seq") for shot in written["shots"] for attempt in shot["attempts"]]
     assert min(orders) > 0
     assert len(set(orders)) == len(orders)
