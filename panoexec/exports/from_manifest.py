@@ -12,6 +12,7 @@ from typing import Any
 from panoexec.angles import quaternion_from_rotation, rotation
 from panoexec.errors import InputFileError
 from panoexec.exports.model import ExportSet, ExportShot, local_name
+from panoexec.exports.orientation import with_believed_orientation
 from panoexec.formats.jpeg_header import read_jpeg_header
 from panoexec.optics import Camera
 
@@ -39,7 +40,7 @@ def export_set(
         return ExportSet(
             title=f"panoexec mission {document.get('mission_id', '')}".strip(),
             camera=camera,
-            shots=tuple(shots),
+            shots=with_believed_orientation(shots, camera),
             reference_yaw_north_deg=0.0 if reference is None else float(reference),
         )
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:

@@ -17,6 +17,7 @@ import numpy as np
 
 from panoexec.angles import FloatArray, rotation_from_quaternion
 from panoexec.errors import to_install
+from panoexec.exports.from_manifest import export_set
 from panoexec.report.source import Source
 
 QUICK_WIDTH_PX: Final = 2048
@@ -97,13 +98,14 @@ def _quick_look(source: Source, max_cpu_s: float) -> tuple[Panorama | None, str]
     if not shots:
         return None, "there are no usable photos"
     canvas = _Canvas(source.manifest["camera"], QUICK_WIDTH_PX)
+    turns = {shot.index: shot.orientation for shot in export_set(source.manifest, source.folder).shots}
     left_out: list[str] = []
     # CPU time of this thread only, so that other load does not matter
     started = time.thread_time()
     for done, (index, pose) in enumerate(shots):
         name = source.photos[index].name
         try:
-            canvas.add(source.folder / name, pose)
+            canvas.add(source.folder / name, pose, turns.get(index, 1))
         except (OSError, SyntaxError, ValueError):
             left_out.append(name)
         expected_s = (time.thread_time() - started) / (done + 1) * len(shots)
@@ -137,13 +139,13 @@ class _Canvas:
         self._elevation = np.radians(90 - (np.arange(self._height) + 0.5) / self._height * 180).astype(np.float32)
         self._azimuth = np.radians((np.arange(self._width) + 0.5) / self._width * 360 - 180).astype(np.float32)
 
-    def add(self, path: Path, pose: FloatArray) -> None:
-        """Add a photo.
+    def add(self, path: Path, pose: FloatArray, orientation: int) -> None:
+        """Add a photo whose pixels are turned as EXIF's `orientation` says.
 
         Raises:
             OSError, SyntaxError, ValueError: it cannot be read.
         """
-        picture = self._read(path)
+        picture = self._read(path, orientation)
         rows, columns = self._window(pose)
         elevation, azimuth = self._elevation[rows][:, None], self._azimuth[columns][None, :]
         r = pose.astype(np.float32)
@@ -172,15 +174,16 @@ class _Canvas:
         out[self._weight == 0] = _EMPTY
         return _encoded(PIL.Image.fromarray(out))
 
-    def _read(self, path: Path) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    def _read(self, path: Path, orientation: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
         """A photo, upright, at about the resolution of the canvas."""
         import PIL.Image  # noqa: PLC0415 - optional dependency
-        import PIL.ImageOps  # noqa: PLC0415 - optional dependency
 
         wanted = max(32, round(self._width / math.pi * max(self._half_width, self._half_height)))
         with PIL.Image.open(path) as picture:
             picture.draft("RGB", (wanted, wanted))
-            upright = PIL.ImageOps.exif_transpose(picture)
+            turn = {3: PIL.Image.Transpose.ROTATE_180, 6: PIL.Image.Transpose.ROTATE_270}
+            turn[8] = PIL.Image.Transpose.ROTATE_90
+            upright = picture.transpose(turn[orientation]) if orientation in turn else picture
             return np.asarray(upright.convert("RGB"))
 
     def _window(self, pose: FloatArray) -> tuple[np.ndarray[Any, np.dtype[np.intp]], np.ndarray[Any, Any]]:

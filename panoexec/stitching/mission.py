@@ -12,6 +12,7 @@ import PIL.Image
 from panoexec.exports.from_manifest import export_set
 from panoexec.exports.hugin import hugin_project
 from panoexec.exports.model import ExportShot
+from panoexec.exports.orientation import with_believed_orientation
 from panoexec.formats.hugin_pto import PtoProject
 from panoexec.formats.jpeg_header import read_jpeg_header
 from panoexec.inputs.plan_file import read_plan_file
@@ -87,7 +88,7 @@ def load_mission(path: Path) -> StitchInput:
     missing = tuple(entry["index"] for entry in document["shots"] if entry["index"] not in taken)
     return StitchInput(
         folder=directory.path,
-        project=hugin_project(replace(exports, shots=tuple(usable))),
+        project=hugin_project(replace(exports, shots=with_believed_orientation(usable, exports.camera))),
         band=band,
         masks=masks,
         tolerance=tolerance,

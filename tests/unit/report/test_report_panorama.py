@@ -64,7 +64,7 @@ class _FlatCanvas(_Canvas):
 
     photo = np.full((601, 801, 3), 200, dtype=np.uint8)
 
-    def _read(self, path: Path) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    def _read(self, path: Path, orientation: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
         return self.photo
 
 
@@ -72,6 +72,6 @@ def test_a_direction_that_rounds_to_a_photo_s_border_is_in_it() -> None:
     canvas = _FlatCanvas({"sensor_width_mm": 17.3, "sensor_height_mm": 13.0, "focal_length_mm": 15.0}, 2048)
     random = np.random.default_rng(1)
     for yaw_deg, pitch_deg, roll_deg in random.uniform((-180, -90, -0.1), (180, 30, 0.1), (150, 3)):
-        canvas.add(Path("flat"), rotation(yaw_deg, pitch_deg, roll_deg))
+        canvas.add(Path("flat"), rotation(yaw_deg, pitch_deg, roll_deg), 1)
     with PIL.Image.open(io.BytesIO(canvas.jpeg())) as opened:
         assert np.asarray(opened)[-10:].mean() == pytest.approx(200, abs=2)
