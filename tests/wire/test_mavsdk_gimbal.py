@@ -8,6 +8,7 @@ import itertools
 import math
 import time
 from collections.abc import AsyncIterator
+from typing import Any
 
 import pytest
 
@@ -113,6 +114,26 @@ async def test_taking_it_is_not_believed_without_confirmation(
     gimbal_autopilot.answers[1001] = lambda _: 0  # accepted, and nothing done
     with pytest.raises(DeviceError, match="accepted, but its manager reports system 255 component 190 after 3 s"):
         await gimbal.acquire()
+
+
+async def test_a_confirmation_that_is_lost_is_asked_for_again(
+    gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal
+) -> None:
+    """With a manager that sends its status on request only."""
+    requested, interval, asked = gimbal_autopilot.answers[512], gimbal_autopilot.answers[511], []
+
+    def loses_the_first(command: Any) -> int | None:
+        if command.param1 != 281:
+            return requested(command)
+        asked.append(command)
+        return 0 if len(asked) == 1 else requested(command)
+
+    gimbal_autopilot.answers[512] = loses_the_first
+    gimbal_autopilot.answers[511] = lambda command: DENIED if command.param1 == 281 else interval(command)
+    gimbal_autopilot.streams.pop(281, None)
+    await gimbal.acquire()
+    assert gimbal.in_control
+    assert len(asked) >= 2
 
 
 async def test_a_refusal_is_a_device_error(gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal) -> None:

@@ -33,6 +33,7 @@ MANAGER_INFORMATION: Final = 280
 
 _MAV_TYPE_GIMBAL: Final = 26
 _TAKE_S: Final = 3.0
+_ASK_AGAIN_S: Final = 0.5
 _RELEASE_S: Final = 2.5
 
 _log = structlog.get_logger(__name__)
@@ -253,10 +254,15 @@ class MavsdkGimbal:
         """
         try:
             async with asyncio.timeout(_TAKE_S):
-                await self._ask_status(gimbal.manager_component)
-                while not self.in_control:
+                while True:
+                    # asked again and again: a status may be lost, and not every manager sends it by itself
                     self._status_came.clear()
-                    await self._status_came.wait()
+                    await self._ask_status(gimbal.manager_component, timeout_s=_ASK_AGAIN_S)
+                    if self.in_control:
+                        return
+                    with contextlib.suppress(TimeoutError):
+                        async with asyncio.timeout(_ASK_AGAIN_S):
+                            await self._status_came.wait()
         except TimeoutError as error:
             if self.in_control:  # the answer to our question was lost, not the confirmation
                 return
@@ -398,9 +404,11 @@ class MavsdkGimbal:
             return False
         return True
 
-    async def _ask_status(self, manager: int) -> None:
+    async def _ask_status(self, manager: int, *, timeout_s: float = 2.0) -> None:
         with contextlib.suppress(DeviceError):  # it streams too
-            await self._link.requests.message(MANAGER_STATUS, "GIMBAL_MANAGER_STATUS", component=manager)
+            await self._link.requests.message(
+                MANAGER_STATUS, "GIMBAL_MANAGER_STATUS", component=manager, timeout_s=timeout_s
+            )
 
     async def _find_feedback(self, device_id: int) -> Feedback:
         """The kind of the reports; what the autopilot itself reports may be what it demands."""
