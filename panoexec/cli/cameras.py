@@ -1,14 +1,21 @@
 """List the included camera profiles, or show one profile (by name or file) with its field of view.
 
-Example:
+`--new` writes a profile to be filled in, with every key explained; an existing file stays as it is.
+
+Examples:
   panoexec cameras dji-x5s-15mm
+  panoexec cameras --new my-camera.toml
 """
 
 from __future__ import annotations
 
 import argparse
+from importlib.resources import files
+from pathlib import Path
 
-from panoexec.cli.output import print_facts, print_json, print_table
+from panoexec.cli.output import note, print_facts, print_json, print_table
+from panoexec.errors import UsageError
+from panoexec.files import write_atomically
 from panoexec.inputs.camera_profiles import CameraProfile, list_profiles, load_profile
 from panoexec.inputs.plan_file import camera_to_data
 
@@ -18,11 +25,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("camera", nargs="?", metavar="NAME|FILE.toml", help="camera profile: a name or a file")
     parser.add_argument("--orientation", choices=("landscape", "portrait"), help="mounting orientation")
     parser.add_argument("--focal-length", type=float, metavar="MM", help="focal length of a zoom lens (mm)")
+    parser.add_argument("--new", type=Path, metavar="FILE.toml", help="write a commented profile to be filled in")
     parser.add_argument("--json", action="store_true", help="print one JSON document on stdout")
 
 
 def run(args: argparse.Namespace) -> int:
     """Show one profile or list all."""
+    if args.new is not None:
+        _write_new(args.new)
+        return 0
     if args.camera:
         profile = load_profile(args.camera, orientation=args.orientation, focal_length_mm=args.focal_length)
         if args.json:
@@ -52,6 +63,16 @@ def run(args: argparse.Namespace) -> int:
         left=("name",),
     )
     return 0
+
+
+def _write_new(path: Path) -> None:
+    if path.suffix != ".toml":
+        raise UsageError(f"--new {path}: the file of a profile ends with .toml")
+    if path.exists():
+        raise UsageError(f"--new {path}: the file exists already; give another name")
+    write_atomically(path, (files("panoexec.inputs") / "camera_template.toml").read_bytes())
+    note(f"fill in {path}, then show it: panoexec cameras {path}")
+    print(path)
 
 
 def _show(profile: CameraProfile) -> None:
