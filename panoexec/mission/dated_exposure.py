@@ -126,6 +126,14 @@ def is_undatable(found: CaptureEvidence) -> bool:
     return stamped and not is_dated(found)
 
 
+def is_unlike_others(found: CaptureEvidence) -> bool:
+    """Whether a stamp tells nothing at all, which from a camera whose other stamps do means that its clock was stepped.
+
+    A date that is only uncertain, as while a message is late, is judged from the trigger to the report.
+    """
+    return is_undatable(found) and math.isnan(found.exposed_s)
+
+
 def is_only_counted(found: CaptureEvidence) -> bool:
     """Whether the camera's count is all that tells of a photo: it was exposed between its trigger and its count."""
     untold = math.isnan(found.exposed_s) and math.isnan(found.reported_s)
@@ -134,7 +142,7 @@ def is_only_counted(found: CaptureEvidence) -> bool:
 
 def is_before(found: CaptureEvidence, commanded_s: float) -> bool:
     """Whether a photo is dated before its trigger, so that it cannot be the one that was requested."""
-    return is_dated(found) and found.exposed_s + found.exposed_error_s < commanded_s
+    return found.exposed_s + found.exposed_error_s < commanded_s  # False without a date, NaN
 
 
 def has_window(found: CaptureEvidence) -> bool:

@@ -209,7 +209,7 @@ class PhotoProof:
             if verdict is not None and not verdict.ok:
                 return "late_exposure", f"{dated_exposure.when(one, capture.commanded_s)}: {verdict.reason}"
         why = dated_exposure.contradictions(found)
-        if not why and self._dates and any(map(dated_exposure.is_undatable, found)):
+        if not why and self._dates and any(map(dated_exposure.is_unlike_others, found)):
             why = "the camera's report has a time that cannot be dated, unlike its others: its clock was stepped"
         return ("evidence", why) if why else ("", "")
 

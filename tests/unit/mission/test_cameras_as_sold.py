@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 
 from panoexec.devices import CaptureEvidence, EvidenceLevel
 from panoexec.errors import DeviceError
-from panoexec.mission.dated_exposure import ShutterLag, has_window, when, window
+from panoexec.mission.dated_exposure import ShutterLag, has_window, is_before, is_unlike_others, when, window
 from panoexec.mission.executor import Mission
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
@@ -225,3 +225,19 @@ def test_a_pose_is_held_until_the_autopilot_reports_a_trigger_that_it_reports_la
     assert "reports its triggers 0.8 s after they were commanded" in lag.note(found, 10.0)
     assert lag.bound_s == pytest.approx(0.9)
     assert lag.until_report
+
+
+def test_a_coarse_date_is_no_contradiction_and_bounds_nothing_but_the_report() -> None:
+    coarse = CaptureEvidence(
+        level=EvidenceLevel.CAPTURE_MESSAGE,
+        received_s=10.4,
+        reported_s=10.4,
+        exposed_vehicle_s=7.0,
+        exposed_s=9.6,
+        exposed_error_s=0.6,
+    )
+    assert not is_unlike_others(coarse)
+    assert not is_before(coarse, 10.0)
+    assert is_before(coarse, 10.3)
+    assert window(coarse, 10.0, some_settings()) == (10.0, 10.4)
+    assert is_unlike_others(replace(coarse, exposed_s=NAN, exposed_error_s=NAN))
