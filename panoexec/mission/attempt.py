@@ -16,11 +16,8 @@ from panoexec.errors import DeviceError
 from panoexec.mission.attempt_result import Exposure, NotSettled, Offset, Settled
 from panoexec.mission.dated_exposure import ShutterLag, has_window, is_dated, window
 from panoexec.mission.pointing.echo import EchoWatch
-from panoexec.mission.pointing.foreign import ForeignPointing
 from panoexec.mission.pointing.heading import HeadingController
-from panoexec.mission.pointing.nose_hold import NoseHold, motion_of
 from panoexec.mission.pointing.poses import PoseReader, read_pose, to_north
-from panoexec.mission.pointing.steady_error import SteadyErrorWatch, error_at_rest
 from panoexec.mission.pointing.tolerance_gate import (
     SettleLimits,
     SettleTracker,
@@ -34,6 +31,7 @@ from panoexec.mission.preflight import gimbal_limits
 from panoexec.mission.protocols import MayFireLate, PacesPhotos, PhotoRecall, ReportsUndated
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.settle_wait import SettleWait
+from panoexec.mission.slew_watch import SlewWatch
 from panoexec.mission.waiting import until, within
 from panoexec.planning.model import Shot
 from panoexec.planning.order.duration import slew_time_s
@@ -51,22 +49,10 @@ DEFERRED_SLACK_S = 0.1
 """How long after a deferred trigger was carried out its report may arrive."""
 LATE_SAMPLES_S = 0.5
 """How long to wait for delayed attitude samples of an exposure."""
-FRESH_REPORT_S = 0.15
-"""Reports that show a slew within this time of its command are of the moment."""
-HELD_REPORT_S = 0.4
-"""Reports are taken for so old before a slew has shown it."""
-REPORT_MARGIN_S = 0.1
-"""Reports may be so much older than a slew showed."""
-HELD_MARGIN_S = 0.2
-"""The same for reports that repeat, as those that are renewed ten times a second."""
-OLDEST_REPORT_S = 2.0
-"""Longest wait for the reports of an exposure. Where a slew is seen later than that, no pose is verified."""
 NOSE_HELD_S = 0.1
 """How long a nose must have been inside tolerance and slow: as long as its speed is measured over."""
 FORESEE_MARGIN_S = 0.05
 """The exposure, and the camera's report of it, may end so much later than expected."""
-BEFORE_SLEW_S = 1.5
-"""Samples of so long before a slew are read, to know where it began: idle streams come once a second."""
 
 
 @dataclass(kw_only=True)
@@ -77,10 +63,7 @@ class Shooter:
         reference_yaw_north_deg: direction of the plan's yaw 0 from true north.
         open_loop: there is no attitude feedback; the pose is assumed after the slew time.
         heading_controller: turns the vehicle if the gimbal cannot pan far enough; None: the vehicle never turns.
-        echo: judges from each slew whether the gimbal's reports are measured.
-        steady_error: knows whether the gimbal rests beside its commands.
-        foreign: knows whether another station points the gimbal.
-        nose: knows how well the vehicle holds its heading, where that is the camera's yaw.
+        slews: what the slews so far have shown of the gimbal.
     """
 
     gimbal: Gimbal
@@ -92,25 +75,17 @@ class Shooter:
     heading_controller: HeadingController | None = None
     poses: PoseReader = field(init=False)
     lag: ShutterLag = field(init=False)
-    echo: EchoWatch = field(init=False)
-    steady_error: SteadyErrorWatch = field(init=False)
-    foreign: ForeignPointing = field(init=False)
-    nose: NoseHold = field(init=False)
+    slews: SlewWatch = field(init=False)
     _ready_s: float = field(default=-math.inf, init=False)
     _pointed: tuple[float, float] | None = field(default=None, init=False)
     _warned_interval_s: float = field(default=0.0, init=False)
     _last_interval_s: float = field(default=0.0, init=False)
-    _late_before_s: float = field(default=0.0, init=False)
-    _late_at_slew_s: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
         """Begin to read the attitude stream."""
         self.lag = ShutterLag(self.settings.latency_s)
-        self.echo = EchoWatch(self.gimbal.known.echo)
-        self.steady_error = SteadyErrorWatch()
-        self.foreign = ForeignPointing()
-        self.nose = NoseHold()
         self.poses = PoseReader(feed=self.gimbal.feed, reference_yaw_north_deg=self.reference_yaw_north_deg)
+        self.slews = SlewWatch(poses=self.poses, echo=EchoWatch(self.gimbal.known.echo))
 
     async def approach(
         self,
@@ -131,7 +106,8 @@ class Shooter:
             coming_yaw_deg: yaws of the following shots.
         """
         expected_s = self._expected_slew_s(shot)
-        commanded_s, self._late_before_s = self.clock.monotonic(), self.gimbal.feed.late_s
+        commanded_s = self.clock.monotonic()
+        self.slews.begins()
         device = "vehicle"
         try:
             expected_s = max(expected_s, await self._turn([shot.yaw_deg, *coming_yaw_deg]))
@@ -165,8 +141,8 @@ class Shooter:
         settled = done and settled_s is not None
         if not settled:
             wait.read()
-        foreign = self._observe(shot, commanded_s, settled=settled)
-        unverifiable = self._unverifiable()
+        foreign = self.slews.ended(shot, commanded_s, settled=settled, nose_since_s=self._nose_since_s(commanded_s))
+        unverifiable = self.slews.unverifiable()
         if unverifiable is not None:
             return unverifiable
         if settled_s is not None:
@@ -184,23 +160,6 @@ class Shooter:
             use_reported_rate=not nose,
         )
 
-    def _unverifiable(self) -> NotSettled | None:
-        """Why no exposure can be verified by the gimbal's reports, as its slews have shown; None if it can."""
-        if self.echo.reason:
-            return NotSettled(code="echo", reason=f"the gimbal's reports are no feedback: {self.echo.reason}")
-        if self.echo.delay_s > OLDEST_REPORT_S:
-            shown = f"the gimbal's reports show a slew {self.echo.delay_s:.1f} s after its command"
-        elif self._grown_s > OLDEST_REPORT_S:
-            shown = f"the gimbal's reports are {self._grown_s:.1f} s later than they were at the last slew"
-        else:
-            return None
-        return NotSettled(code="stale", reason=f"{shown}: no exposure can be verified by them")
-
-    @property
-    def _grown_s(self) -> float:
-        """By how much the gimbal's reports became older since a slew last showed their age."""
-        return max(0.0, self.gimbal.feed.late_s - self._late_at_slew_s)
-
     def _not_settled(self, tracker: SettleTracker, bound_s: float) -> NotSettled:
         why = tracker.problem
         if tracker.is_stale(self.clock.monotonic()):
@@ -211,51 +170,11 @@ class Shooter:
         offset = None if off is None else Offset(**{axis: float(getattr(off, axis)) for axis in _OFFSET_AXES})
         return NotSettled(code="not_settled", reason=f"not settled after {bound_s:.1f} s: {why}", offset=offset)
 
-    def _observe(self, shot: Shot, commanded_s: float, *, settled: bool) -> str:
-        """Learn from a slew whether the gimbal measures, and whether it rests where it was told.
-
-        Returns:
-            Why another station must point it; "" if it need not.
-        """
-        readings = self.poses.since(commanded_s - BEFORE_SLEW_S)
-        yaw_deg = shot.yaw_deg
-        shows_age = self.echo.slew(
-            readings,
-            commanded_s=commanded_s,
-            pitch_deg=shot.pitch_deg,
-            yaw_deg=yaw_deg,
-            yaw_follows=self._vehicle_pans,
-        )
-        if shows_age:
-            self._late_at_slew_s = self._late_before_s
-        if settled:
-            self.steady_error.settled()
-            self.foreign.settled()
-            self.nose.settled()
-        elif self.heading_controller is not None and self._vehicle_pans:
-            since_s = commanded_s + self.heading_controller.last_turn_s
-            self.nose.failed(motion_of(readings, since_s=since_s), shot=shot.index, yaw_deg=yaw_deg)
-        else:
-            foreign = self.foreign.failed(readings, commanded_s=commanded_s, pitch_deg=shot.pitch_deg, yaw_deg=yaw_deg)
-            if foreign:
-                return foreign
-            at_rest = error_at_rest(readings, pitch_deg=shot.pitch_deg, yaw_deg=yaw_deg)
-            self.steady_error.failed(at_rest, pitch_deg=shot.pitch_deg, yaw_deg=yaw_deg)
-        return ""
-
-    @property
-    def report_age_s(self) -> float:
-        """How old the gimbal's reports may be, by its slews; 0 if they are of the moment.
-
-        What happened during an exposure is seen in the reports of so much later.
-        """
-        delay_s = self.echo.longest_delay_s
-        if math.isnan(delay_s):
-            return min(HELD_REPORT_S + self._grown_s, OLDEST_REPORT_S)
-        delay_s += self._grown_s
-        if self.poses.holds:
-            return min(delay_s + HELD_MARGIN_S, OLDEST_REPORT_S)
-        return min(delay_s + REPORT_MARGIN_S, OLDEST_REPORT_S) if delay_s > FRESH_REPORT_S else 0.0
+    def _nose_since_s(self, commanded_s: float) -> float | None:
+        """When the vehicle's turn is over, if its heading is the camera's yaw; else None."""
+        if self.heading_controller is None or not self._vehicle_pans:
+            return None
+        return commanded_s + self.heading_controller.last_turn_s
 
     def _gap_s(self) -> float:
         """The longest gap between samples that an exposure may have."""
@@ -299,7 +218,7 @@ class Shooter:
         if not captures:
             return NotSettled(code="trigger", reason=failure)
         if not self.open_loop:
-            await self.clock.sleep(self.report_age_s)
+            await self.clock.sleep(self.slews.report_age_s)
         first = await captures[0].evidence(EvidenceLevel.COMMANDED, 0.0)
         start_s = captures[0].commanded_s
         if first.level >= EvidenceLevel.CAPTURE_MESSAGE and is_dated(first):
@@ -367,7 +286,7 @@ class Shooter:
 
     async def _judged(self, shot: Shot, start_s: float, end_s: float) -> WindowVerdict:
         """The verdict on an exposure; waits briefly for samples that are delayed on a busy computer."""
-        end_s += self.report_age_s
+        end_s += self.slews.report_age_s
         verdict = self._judge(shot, start_s, end_s)
         if verdict.code != "no_samples":
             return verdict

@@ -113,8 +113,8 @@ class PhotoProof:
             self._verdicts.reject(shot, number, "evidence", _TWICE, proven)
             for other in others:
                 self._revoke(other, "evidence", _TWICE)
-        elif self._shooter.echo.reason and by != "open_loop":  # found while the evidence was awaited
-            self._verdicts.reject(shot, number, "echo", self._shooter.echo.reason, proven)
+        elif self._shooter.slews.echo.reason and by != "open_loop":  # found while the evidence was awaited
+            self._verdicts.reject(shot, number, "echo", self._shooter.slews.echo.reason, proven)
         elif by == "overlap" and not await overlaps_hold(self._context, shot, verdict.measured):
             reason = f"{verdict.reason}, and the overlaps are too small with this pose"
             self._verdicts.reject(shot, number, verdict.code, reason, proven)

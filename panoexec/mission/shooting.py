@@ -136,17 +136,17 @@ class Shooting:
         """Stop the mission if the gimbal has shown that no pose can be verified, or that none can be held."""
         context, known = self._context, self._context.gimbal.known
         if failure.code == "echo":
-            known.echo = self.shooter.echo.reason
+            known.echo = self.shooter.slews.echo.reason
             self._revoke_unverified()
             context.requests.request_stop(Stop("fail", f"{failure.reason}; {ECHO_ADVICE}"))
             return
-        nose, settings = self.shooter.nose, context.settings
+        nose, settings = self.shooter.slews.nose, context.settings
         if why := nose.cannot_hold(settings.tolerance.yaw_deg, settings.max_rate_deg_s):
             finding = Finding(code=HEADING_CODE, reason=why, automatic=False, retry=True)
             self._hold_for(finding, nose.shots)
             nose.settled()
             return
-        steady = self.shooter.steady_error.found
+        steady = self.shooter.slews.steady_error.found
         if steady is None or context.record.shots_done:
             return
         if why := cannot_hold(steady, context.settings.tolerance):
@@ -158,7 +158,7 @@ class Shooting:
         for index, shot in sorted(self._context.record.shots.items()):
             for attempt in shot.attempts:
                 if attempt.verdict is Verdict.ACCEPTED and attempt.by != "open_loop":
-                    reason = f"the pose was never measured: {self.shooter.echo.reason}"
+                    reason = f"the pose was never measured: {self.shooter.slews.echo.reason}"
                     self._keep(ev.ShotRevoked(shot=index, attempt=attempt.number, code="echo", reason=reason))
 
     def _exposed(self, shot: int, number: int, settled: Settled, exposure: Exposure) -> None:

@@ -167,6 +167,11 @@ class PoseReader:
         return sorted(self._intervals)[len(self._intervals) // 2]
 
     @property
+    def late_s(self) -> float:
+        """See `AttitudeFeed.late_s`."""
+        return self._feed.late_s
+
+    @property
     def holds(self) -> bool:
         """Whether samples are known to be repeated until something new is known: what they tell is of earlier."""
         return self._pairs >= RATE_INTERVALS // 2 and self._repeats > self.HELD_FRAC * self._pairs
