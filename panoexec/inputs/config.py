@@ -108,6 +108,26 @@ class GimbalSection(Section):
         return None if value is None else _ordered_range(value, -360, 360)
 
 
+class LockSection(Section):
+    """`[camera.lock]`: settings that must not change within a panorama."""
+
+    exposure: Literal["off", "first", "manual"] = "off"
+    shutter_s: Positive | None = None
+    aperture: Positive | None = None
+    iso: Annotated[int, Field(gt=0)] | None = None
+    white_balance: str = "off"
+    focus: Literal["off", "manual"] = "off"
+
+    @model_validator(mode="after")
+    def _manual_has_values(self) -> Self:
+        values = (self.shutter_s, self.aperture, self.iso)
+        if self.exposure == "manual" and self.shutter_s is None:
+            raise ValueError('exposure = "manual" needs shutter_s, and where the camera has them aperture and iso')
+        if self.exposure != "manual" and any(value is not None for value in values):
+            raise ValueError('shutter_s, aperture and iso are for exposure = "manual"')
+        return self
+
+
 class CameraSection(Section):
     """`[camera]`: profile, trigger, and evidence of a photo."""
 
@@ -129,6 +149,7 @@ class CameraSection(Section):
     evidence: EvidenceName = "counted"
     file_folders: tuple[Path, ...] = ()
     file_hosts: tuple[str, ...] = ()
+    lock: LockSection = LockSection()
 
     @model_validator(mode="before")
     @classmethod
@@ -162,6 +183,10 @@ class CameraSection(Section):
             raise ValueError('trigger = "serial" needs serial_port, for example "/dev/serial/by-id/…"')
         if self.trigger != "gphoto2" and (self.port or self.model):
             raise ValueError('port and model name a tethered camera: they need trigger = "gphoto2"')
+        if self.trigger != "gphoto2" and self.lock != LockSection():
+            raise ValueError(
+                'the settings of [camera.lock] are made on a tethered camera: they need trigger = "gphoto2"'
+            )
         if self.serial_line == "bytes" and not self.serial_bytes:
             raise ValueError('serial_line = "bytes" needs serial_bytes, the text to send')
         if self.trigger == "serial" and self.evidence not in ("commanded", "acknowledged", "counted", "feedback_pin"):

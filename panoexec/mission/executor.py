@@ -17,15 +17,17 @@ from panoexec.mission.ending import Ending
 from panoexec.mission.eta import EtaEstimator
 from panoexec.mission.guard_monitor import GuardMonitor
 from panoexec.mission.guards import Guard, flight_guards
+from panoexec.mission.lens_check import lens_problem
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import MissionRecord, ShotStatus
 from panoexec.mission.log.recorder import Recorder
 from panoexec.mission.log.states import FINISHED, MissionState
+from panoexec.mission.metering import meter_exposure
 from panoexec.mission.mission_requests import MissionRequests, Stop
 from panoexec.mission.operator_commands import OperatorCommands
 from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.preflight import battery_warning, preflight_problems
-from panoexec.mission.protocols import Journal, LimitsTurns, PreparesForPhotos, Verifier
+from panoexec.mission.protocols import Journal, LimitsTurns, PreparesForPhotos, TellsLens, Verifier
 from panoexec.mission.recovery import settle_open_attempts
 from panoexec.mission.reference_frame import update_reference_frame, warn_if_moved
 from panoexec.mission.settings import MissionSettings
@@ -262,6 +264,8 @@ class Mission:
                 checked, _ = await until(context.requests.leaving.wait(), self._preflight(), "preflight")
             if self._shooting is None:  # not earlier: it needs the direction of yaw 0
                 self._shooting = Shooting(context, self._guard_monitor, group)
+            if not context.requests.must_end_shooting and len(context.queue):
+                await self._meter(self._shooting.shooter)
             if not context.requests.must_end_shooting:
                 await self._shooting.run()
             await self._shooting.evidence_in()
@@ -287,6 +291,14 @@ class Mission:
                 context.queue.drop(index)
                 skipped = ev.ShotSkipped(shot=index, attempt=len(shot.attempts), reason="skipped by command")
                 context.recorder.emit(skipped)
+
+    async def _meter(self, shooter: Shooter) -> None:
+        """Fix the exposure, if that is asked for."""
+        requests = self._context.requests
+        metering = meter_exposure(self._context, shooter)
+        _, problem = await until(requests.stopping.wait(), metering, "meter the exposure")
+        if problem:
+            requests.request_stop(Stop("fail", problem))
 
     async def _preflight(self) -> None:
         context = self._context
@@ -320,12 +332,14 @@ class Mission:
     async def _prepare_camera(self) -> list[str]:
         """Make the camera ready for photos (photo mode); returns what prevents that."""
         camera = self._context.camera
-        if not isinstance(camera, PreparesForPhotos):
-            return []
-        try:
-            problem = await within(self._context.clock, PREPARE_S, camera.prepare(), "prepare the camera")
-        except (DeviceError, TimeoutError) as error:
-            problem = f"the camera cannot be prepared: {error}"
+        problem = ""
+        if isinstance(camera, PreparesForPhotos):
+            try:
+                problem = await within(self._context.clock, PREPARE_S, camera.prepare(), "prepare the camera")
+            except (DeviceError, TimeoutError) as error:
+                problem = f"the camera cannot be prepared: {error}"
+        if not problem and isinstance(camera, TellsLens):
+            problem = lens_problem(camera.focal_length_mm, self._context.plan.camera)
         return [problem] if problem else []
 
     async def _restore_camera(self) -> None:

@@ -8,6 +8,7 @@ from typing import Protocol, runtime_checkable
 
 from panoexec.angles import FloatArray
 from panoexec.devices import RecalledPhotos
+from panoexec.formats.photo_settings import PhotoExif
 from panoexec.mission.log.events import Event
 from panoexec.planning.model import Certificate, Shot, TurnLimits
 
@@ -70,6 +71,37 @@ class ReportsPhotos(Protocol):
     @property
     def reports_photos(self) -> bool:
         """Whether a report of the next photo is to be expected, so that its verdict should wait for it."""
+        ...
+
+
+@runtime_checkable
+class MetersExposure(Protocol):
+    """A camera whose exposure is metered once for a whole panorama."""
+
+    @property
+    def needs_metering(self) -> bool:
+        """Whether that is asked for, and was not done since it was prepared."""
+        ...
+
+    async def meter(self, known: PhotoExif | None) -> str:
+        """Keep an exposure from now on: a known one, or what the camera meters where it points now.
+
+        Returns:
+            What prevents that, "" if nothing does.
+
+        Raises:
+            DeviceError: it took no photo to meter by, or is gone.
+        """
+        ...
+
+
+@runtime_checkable
+class TellsLens(Protocol):
+    """A camera that may tell the focal length of its lens."""
+
+    @property
+    def focal_length_mm(self) -> float:
+        """In millimetres, not the 35 mm equivalent; NaN if it does not tell. Known once the camera is prepared."""
         ...
 
 

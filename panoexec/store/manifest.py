@@ -323,6 +323,8 @@ def _photo_json(attempt: AttemptRecord, photo: ev.Photo, folder: Path) -> dict[s
         "size_bytes": None if stored is None else stored.size_bytes,
         "source": None if stored is None else stored.source,
         "raw": (stored.raw or None) if stored is not None else None,
+        "exif": None if stored is None or stored.exif is None else encode(stored.exif),
+        "differs": None if stored is None else list(stored.differs),
     }
 
 

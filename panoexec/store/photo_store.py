@@ -24,6 +24,7 @@ from typing import Final, Literal, TypeAlias
 
 from panoexec.errors import PanoexecError, UsageError
 from panoexec.files import to_disk, write_atomically_with
+from panoexec.formats.photo_settings import PhotoExif, differences, read_settings
 from panoexec.formats.photo_kind import photo_kind
 from panoexec.mission.log.events import PhotoStored
 from panoexec.mission.log.record import MissionRecord
@@ -54,6 +55,7 @@ class _Written:
     name: str
     size_bytes: int
     sha256: str
+    exif: PhotoExif | None
 
 
 class PhotoStore:
@@ -146,11 +148,20 @@ class PhotoStore:
             source=source,
             raw="" if beside is None else f"{_FOLDER}/{beside.name}",
             raw_sha256="" if beside is None else beside.sha256,
+            exif=written.exif,
+            differs=self._differences(written.exif, besides=(shot, attempt, photo)),
         )
         recorded = self._emit(event)
         if recorded is None:
             raise PhotoNotRecordedError(f"{self._folder / file}: stored, but the mission takes no more events")
         return recorded
+
+    def _differences(self, exif: PhotoExif | None, *, besides: tuple[int, int, int]) -> tuple[str, ...]:
+        """In what the settings of a photo differ from those of the first photo that was stored."""
+        others = [one for one in stored_photos(self._record) if (one.shot, one.attempt, one.photo) != besides]
+        # the photos of a bracket differ on purpose: each is compared with the first of its number
+        told = [(one.seq, one.exif) for one in others if one.exif is not None and one.photo == besides[2]]
+        return () if exif is None or not told else differences(min(told, key=lambda one: one[0])[1], exif)
 
     def _taken(self, *, besides: tuple[int, int, int]) -> dict[str, tuple[str, tuple[int, int, int]]]:
         """Content and owner of the files of all other photos, by file."""
@@ -287,7 +298,7 @@ class _Work:
                     f"{self._shown(name)}: is the photo of shot {shot}, attempt {attempt}, too ({file});"
                     " one photo counts once"
                 )
-        return _Written(name, size, digest)
+        return _Written(name, size, digest, read_settings(path))
 
     def _is_same(self, target: Path) -> bool:
         if isinstance(self.content, bytes):

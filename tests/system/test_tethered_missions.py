@@ -67,7 +67,10 @@ async def test_a_mission_by_serve_ends_complete_with_every_photo_hashed(tmp_path
     with running_broker(tmp_path) as broker:
         async with running_simulator(config) as simulator, ground_station(broker) as ground:
             camera = simulator.ready["camera"]
-            more = f'[camera]\ntrigger = "gphoto2"\nport = "{camera}"\nevidence = "file_seen"\n'
+            more = (
+                f'[camera]\ntrigger = "gphoto2"\nport = "{camera}"\nevidence = "file_seen"\n'
+                '[camera.lock]\nexposure = "first"\nwhite_balance = "Daylight"\nfocus = "manual"\n'
+            )
             async with serving(tmp_path, broker, port, more=more, speedup=3.0) as process:
                 await ready(ground)
                 start = await ground.ask("start", "s", **SMALL)
@@ -88,4 +91,11 @@ async def test_a_mission_by_serve_ends_complete_with_every_photo_hashed(tmp_path
     manifest = json.loads((mission / "manifest.json").read_text())
     assert_every_photo_is_here(mission, manifest, card)
     assert untruths(mission, card / "truth.jsonl") == []
+    # metered once, at the brightest row: no photo differs, and one more is in the camera
+    settings = [photo["exif"] for attempt in accepted(manifest) for photo in attempt["photos"]]
+    assert all(one == settings[0] for one in settings)
+    assert settings[0]["white_balance"] == "manual"
+    assert 0.001 <= settings[0]["exposure_s"] <= 0.004
+    assert len(list(card.glob("*.jpg"))) > sum(shot["accepted_attempt"] is not None for shot in manifest["shots"])
+    assert manifest["warnings"] == []
     assert list((tmp_path / "data" / "incoming").iterdir()) == []

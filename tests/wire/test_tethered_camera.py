@@ -15,6 +15,8 @@ from panoexec.adapters.camera.tethered.patience import Patience
 from panoexec.clock import SystemClock
 from panoexec.devices import EvidenceLevel
 from panoexec.errors import DeviceError
+from panoexec.inputs.config import LockSection
+from panoexec.sim.tethered import responder
 from panoexec.sim.tethered.ptp import Answer
 from tests.support.tethered import small_jpeg, tethered_camera
 from tests.support.tethered_campaign import QUICK, run_campaign
@@ -22,6 +24,13 @@ from tests.waiting import eventually
 
 pytest.importorskip("gphoto2", reason="the extra gphoto2 is not installed")
 
+CODES = {
+    "program": responder.PROGRAM,
+    "shutter": responder.SHUTTER,
+    "aperture": responder.APERTURE,
+    "iso": responder.ISO,
+    "balance": responder.WHITE_BALANCE,
+}
 CAPTURES = int(os.environ.get("PANOEXEC_GPHOTO2", "0"))
 
 
@@ -242,3 +251,37 @@ async def test_the_trigger_is_prompt_while_a_file_is_fetched_and_the_process_is_
         await eventually(lambda: len(camera.files.arrived) == 5)
         assert {taken.size_bytes for taken in camera.files.arrived} == {size}
         assert peak_memory_kb(camera.process_id) < 40_000
+
+
+async def test_settings_are_locked_read_back_kept_over_a_power_cycle_and_put_back(tmp_path: Path) -> None:
+    async with tethered_camera(tmp_path / "card") as sim:
+        value = {name: sim.server.responder.properties[code] for name, code in CODES.items()}
+        lock = LockSection(exposure="manual", shutter_s=0.002, aperture=8, iso=200, white_balance="Daylight")
+        async with TetheredCamera(clock=SystemClock(), port=sim.address, lock=lock, patience=QUICK) as camera:
+            await camera.discover(30)
+            assert await camera.prepare() == ""
+            assert camera.focal_length_mm == 15.0
+            locked = {name: one.value for name, one in value.items()}
+            assert locked == {"program": 1, "shutter": 20, "aperture": 800, "iso": 200, "balance": 4}
+            value["iso"].value = 400  # it was switched off and on again
+            sim.server.unplug()
+            await eventually(lambda: camera.restarts)
+            assert value["iso"].value == 200
+            await camera.restore()
+            assert {name: one.value for name, one in value.items()} == {
+                "program": 2,
+                "shutter": 100,
+                "aperture": 560,
+                "iso": 100,
+                "balance": 2,
+            }
+            sim.server.responder.locked.add(responder.ISO)
+            assert "setting iso to 200" in await problem_with(camera)
+
+
+async def problem_with(camera: TetheredCamera) -> str:
+    """What a mission is told in preflight."""
+    try:
+        return await camera.prepare()
+    except DeviceError as error:
+        return str(error)

@@ -6,6 +6,7 @@ flags (CAMERA_CAP_FLAGS). A streamer of video is such a component as well, often
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -27,6 +28,7 @@ class CameraCandidate:
         component: its MAVLink component; 1 to 6 are shutters of the autopilot.
         vendor, model: as told, or "".
         image_width_px, image_height_px: 0 if not told.
+        focal_length_mm: of its lens; NaN or 0 if not told.
         flags: CAMERA_CAP_FLAGS.
     """
 
@@ -35,6 +37,7 @@ class CameraCandidate:
     model: str = ""
     image_width_px: int = 0
     image_height_px: int = 0
+    focal_length_mm: float = math.nan
     flags: int = 0
 
     @property

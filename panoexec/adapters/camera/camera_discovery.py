@@ -63,6 +63,7 @@ class CameraDiscovery:
                 model=one.model_name,
                 image_width_px=one.horizontal_resolution_px,
                 image_height_px=one.vertical_resolution_px,
+                focal_length_mm=one.focal_length_mm,
                 flags=self._flags[component],
             )
             for component, one in sorted(self._listed.items())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -13,6 +14,7 @@ class MavlinkCameraFound:
         component: its MAVLink component; 1 to 6 are shutters of the autopilot.
         vendor, model: as reported, or "".
         image_width_px, image_height_px: 0 if not reported.
+        focal_length_mm: NaN or 0 if not reported.
         feedback_pin: the autopilot reports the hot-shoe signal and not only the trigger.
         own_trigger: it is PX4's own trigger on an output pin, which is no MAVLink camera.
         why: why this camera was chosen.
@@ -23,6 +25,7 @@ class MavlinkCameraFound:
     model: str = ""
     image_width_px: int = 0
     image_height_px: int = 0
+    focal_length_mm: float = math.nan
     feedback_pin: bool = False
     own_trigger: bool = False
     why: str = ""

@@ -180,6 +180,7 @@ class MavsdkCamera:
             model=camera.model,
             image_width_px=camera.image_width_px,
             image_height_px=camera.image_height_px,
+            focal_length_mm=camera.focal_length_mm,
             feedback_pin=camera.by_autopilot and await self._has_pin(own_trigger=own_trigger),
             own_trigger=own_trigger,
             why=choice.reason,
@@ -293,6 +294,11 @@ class MavsdkCamera:
     def mode(self) -> PhotoMode | None:
         """The camera's mode; None if it has none."""
         return self._mode
+
+    @property
+    def focal_length_mm(self) -> float:
+        """See `TellsLens.focal_length_mm`: CAMERA_INFORMATION."""
+        return math.nan if self._found is None else self._found.focal_length_mm
 
     @property
     def interval_s(self) -> float:

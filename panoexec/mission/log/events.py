@@ -19,6 +19,7 @@ from typing import Annotated, Any, ClassVar, Protocol
 
 from panoexec.codec import ByName, Flag, Number, Whole, decode, encode
 from panoexec.devices import EvidenceLevel
+from panoexec.formats.photo_settings import PhotoExif
 from panoexec.mission.log.states import MissionState
 
 NAN = float("nan")
@@ -416,6 +417,8 @@ class PhotoStored(ShotEvent):
         source: where it came from: `gphoto2`, `http`, `mavftp`, `local` (a folder of this computer) or `import`.
         raw: path of the RAW file beside it; "" without one.
         raw_sha256: of the RAW file's content.
+        exif: what it was taken with; None if it is no JPEG, or was stored by a version that did not read it.
+        differs: in what its settings differ from those of the mission's first stored photo.
     """
 
     photo: Whole = 1
@@ -425,6 +428,8 @@ class PhotoStored(ShotEvent):
     source: str
     raw: str = ""
     raw_sha256: str = ""
+    exif: PhotoExif | None = None
+    differs: tuple[str, ...] = ()
 
 
 class EventSink(Protocol):

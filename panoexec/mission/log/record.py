@@ -44,6 +44,10 @@ class Verdict(StrEnum):
     INTERRUPTED = "interrupted"
 
 
+_SHOWN_SETTINGS = 4
+"""Photos with other settings than the first that a warning names."""
+
+
 @dataclass(slots=True, kw_only=True)
 class AttemptRecord:
     """One attempt at a shot; updated by events."""
@@ -181,6 +185,8 @@ class MissionRecord:
         self.open_loop = False
         self.certified: bool | None = None
         self.warnings: list[str] = []
+        self._other_settings: dict[int, str] = {}
+        self._settings_warning = ""
         self.reported_level = EvidenceLevel.COMMANDED
         """Evidence that the camera gives of its photos by reports of its own: `FEEDBACK_PIN`, `CAPTURE_MESSAGE`, or
         `COMMANDED` before its first report."""
@@ -361,6 +367,21 @@ class MissionRecord:
         if not 1 <= event.attempt <= len(attempts):
             raise ValueError(f"shot {event.shot}: a photo of attempt {event.attempt} is stored, which never began")
         attempts[event.attempt - 1].stored[event.photo] = event
+        if event.differs:
+            self._warn_of_settings(event)
+
+    def _warn_of_settings(self, event: ev.PhotoStored) -> None:
+        """Keep one warning about photos that were taken with other settings than the first."""
+        if self._settings_warning in self.warnings:
+            self.warnings.remove(self._settings_warning)
+        self._other_settings[event.shot] = ", ".join(event.differs)
+        shown = [f"shot {shot} ({text})" for shot, text in list(self._other_settings.items())[:_SHOWN_SETTINGS]]
+        more = len(self._other_settings) - len(shown)
+        self._settings_warning = (
+            f"{len(self._other_settings)} photos were taken with other settings than the first: {'; '.join(shown)}"
+            + (f"; and {more} more" if more else "")
+        )
+        self.warnings.append(self._settings_warning)
 
     def _open(self, event: ev.ShotEvent) -> AttemptRecord:
         attempts = self.shots[event.shot].attempts

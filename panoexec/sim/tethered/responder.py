@@ -20,6 +20,10 @@ FOCUS_MODE: Final = 0x500A
 FOCAL_LENGTH: Final = 0x5008
 PROGRAM: Final = 0x500E
 BATTERY: Final = 0x5001
+_SHUTTER_SPEEDS: Final = (
+    *(1, 2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 25, 31, 40, 50, 62, 80, 100, 125, 166, 200, 250, 333, 500, 1000),
+)
+"""In 0.1 ms, by thirds of a stop as far as that unit allows."""
 MANUAL: Final = 1
 """Value of exposure program, white balance and focus mode for: set by hand."""
 
@@ -37,7 +41,7 @@ def usual_properties(focal_length_mm: float) -> list[Property]:
             choices=(round(100 * focal_length_mm),),
         ),
         Property(code=FOCUS_MODE, kind=Kind.UINT16, value=2, choices=(2, 1)),
-        Property(code=SHUTTER, kind=Kind.UINT32, value=100, choices=(5, 10, 20, 40, 50, 100, 200, 1000)),
+        Property(code=SHUTTER, kind=Kind.UINT32, value=100, choices=_SHUTTER_SPEEDS),
         Property(code=PROGRAM, kind=Kind.UINT16, value=2, choices=(2, 1, 3, 4)),
         Property(code=ISO, kind=Kind.UINT16, value=100, choices=(100, 200, 400, 800, 1600)),
     ]

@@ -1,7 +1,7 @@
 from pathlib import Path
 
 import pytest
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from panoexec.errors import InputFileError
 from panoexec.inputs.config import Config, MqttSection, load_config
@@ -31,8 +31,12 @@ def test_the_example_names_every_key() -> None:
         assert f"[{section}]" in text
         body = text.split(f"[{section}]", 1)[1].split("\n[", 1)[0]
         assert field.annotation is not None
-        for key in field.annotation.model_fields:
-            assert f"\n{key} =" in body or f"\n# {key} =" in body, f"[{section}] {key}"
+        for key, inner in field.annotation.model_fields.items():
+            if isinstance(inner.annotation, type) and issubclass(inner.annotation, BaseModel):
+                table = text.split(f"\n[{section}.{key}]", 1)[1].split("\n[", 1)[0]
+                assert all(f"\n{one} =" in table or f"\n# {one} =" in table for one in inner.annotation.model_fields)
+            else:
+                assert f"\n{key} =" in body or f"\n# {key} =" in body, f"[{section}] {key}"
 
 
 def test_all_problems_are_told_at_once_with_key_and_value(tmp_path: Path) -> None:

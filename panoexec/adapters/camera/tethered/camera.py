@@ -25,18 +25,22 @@ from panoexec.adapters.camera.capture import Capture, Report, Source
 from panoexec.adapters.camera.tethered.child import CallFailedError, CameraProcess
 from panoexec.adapters.camera.tethered.errors import explained
 from panoexec.adapters.camera.tethered.files import PhotoFiles
+from panoexec.adapters.camera.tethered.locked_settings import LockedSettings
 from panoexec.adapters.camera.tethered.patience import Patience
 from panoexec.adapters.camera.tethered.photos import SCHEME, Photo, PhotoBook
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.clock import Clock, SystemClock, VehicleClock, work
 from panoexec.devices import CaptureEvidence, EvidenceLevel, PendingCapture, RecalledPhotos
 from panoexec.errors import DependencyError, DeviceError, LinkError, PhotoFileError, to_install
-from panoexec.inputs.config import CameraSection
+from panoexec.formats.photo_settings import PhotoExif, read_settings
+from panoexec.inputs.config import CameraSection, LockSection
 
 _AGAIN_S: Final = (0.2, 0.5, 1.0, 2.0)
 """Pauses before the camera is opened anew; the last one repeats."""
 _SILENT_S: Final = 6.0
 """A process that says nothing for so long hangs."""
+METER_S: Final = 15.0
+"""How long the photo by which the exposure is metered may take."""
 _WATCH_S: Final = 1.0
 _LISTED_S: Final = 1.0
 """How long a listing usually takes."""
@@ -67,6 +71,7 @@ class TetheredCamera:
         port: str = "",
         model: str = "",
         spool: Path | None = None,
+        lock: LockSection | None = None,
         patience: Patience | None = None,
     ) -> None:
         """Create it; entering the context starts its process.
@@ -76,12 +81,14 @@ class TetheredCamera:
             port: `usb:…`, `ptpip:HOST`, or "" for the only camera on USB.
             model: as libgphoto2 names it, or a part of it; "" for any.
             spool: folder for files that no mission has taken yet; None: a temporary one.
+            lock: settings that must not change within a panorama; None: none.
             patience: None: as usual.
         """
         self._patience = patience or Patience()
         self._clock = clock
         self._port, self._model = port, model
         self._wanted_spool = spool
+        self.settings = LockedSettings(lock or LockSection(), call=self._call)
         self._spool = Path()
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self.book = PhotoBook(self._patience.late_s)
@@ -153,6 +160,7 @@ class TetheredCamera:
                 await process.start()
                 # an opening takes real time; nothing waits for it on the mission's clock
                 about = await process.call("open", self._patience.open_s, port=self._port, model=self._model)
+                await self.settings.again(process.call)  # a camera that was switched off may have forgotten them
                 self._note_opened(about)
                 failures = 0
                 await self._watch(process)
@@ -302,10 +310,37 @@ class TetheredCamera:
             return "the camera has no card: put one in"
         if all(one["read_only"] for one in self._storage):
             return "the camera's card is write-protected: slide its lock"
-        return ""
+        return await self.settings.prepare()
 
     async def restore(self) -> None:
-        """See `PreparesForPhotos.restore`; there is nothing to undo."""
+        """See `PreparesForPhotos.restore`: the settings that were locked."""
+        with contextlib.suppress(DeviceError):
+            await self.settings.restore()
+
+    @property
+    def focal_length_mm(self) -> float:
+        """See `TellsLens.focal_length_mm`."""
+        return self.settings.focal_length_mm
+
+    @property
+    def needs_metering(self) -> bool:
+        """See `MetersExposure.needs_metering`."""
+        return self.settings.needs_metering
+
+    async def meter(self, known: PhotoExif | None) -> str:
+        """See `MetersExposure.meter`: one photo as the camera meters it, whose settings are then kept.
+
+        Raises:
+            DeviceError: there is no such photo, or its settings cannot be kept.
+        """
+        if known is None:
+            capture = await self.trigger()
+            found = await capture.evidence(EvidenceLevel.FILE_SEEN, METER_S)
+            file = self.files.here(found.file_url)
+            if found.level < EvidenceLevel.FILE_SEEN or file is None:
+                raise DeviceError(f"no photo to meter by within {METER_S:g} s")
+            known = await asyncio.to_thread(read_settings, file)
+        return await self.settings.keep(known)
 
     # --- triggers
 
@@ -456,7 +491,9 @@ class TetheredCamera:
 
 
 def _open(section: CameraSection, link: MavsdkLink, spool: Path | None) -> AbstractAsyncContextManager[OpenCamera]:
-    return TetheredCamera(clock=link.clock, port=section.port or "", model=section.model or "", spool=spool)
+    return TetheredCamera(
+        clock=link.clock, port=section.port or "", model=section.model or "", spool=spool, lock=section.lock
+    )
 
 
 KIND: Final = CameraKind(

@@ -131,6 +131,11 @@ class PhotoFiles:
         await asyncio.to_thread(shutil.move, taken.path, part)
         return part
 
+    def here(self, url: str) -> Path | None:
+        """The file of a photo, if it is here."""
+        taken = self._here.get(url)
+        return None if taken is None else taken.path
+
     def _is_coming(self, photo: Photo) -> bool:
         return photo is self._current or any(one.photo is photo for one in self._wanted)
 
