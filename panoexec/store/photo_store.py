@@ -24,8 +24,8 @@ from typing import Final, Literal, TypeAlias
 
 from panoexec.errors import PanoexecError, UsageError
 from panoexec.files import to_disk, write_atomically_with
-from panoexec.formats.photo_settings import PhotoExif, differences, read_settings
 from panoexec.formats.photo_kind import photo_kind
+from panoexec.formats.photo_settings import PhotoExif, differences, read_settings
 from panoexec.mission.log.events import PhotoStored
 from panoexec.mission.log.record import MissionRecord
 
