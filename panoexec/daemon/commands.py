@@ -16,6 +16,7 @@ from panoexec.daemon.mission_request import chosen_profile, settings_of, spec_of
 from panoexec.daemon.missions import Missions
 from panoexec.daemon.planning_desk import PlanningDesk
 from panoexec.daemon.stopping import DECLINED, Stopping
+from panoexec.daemon.thumbnails import Thumbnails
 from panoexec.daemon.vehicle_link import VehicleLink
 from panoexec.inputs.config import Config
 from panoexec.inputs.plan_file import camera_to_data
@@ -37,6 +38,7 @@ from panoexec.mqtt.requests import (
     SkipRequest,
     StartRequest,
     StopRequest,
+    ThumbnailsRequest,
 )
 from panoexec.mqtt.transaction_file import FORGOTTEN
 from panoexec.mqtt.transactions import Transactions
@@ -74,6 +76,7 @@ class Commands:
         respond: Callable[[Incoming, bytes], None],
         refresh: Callable[[], dict[str, Any]],
         examine: Examine,
+        thumbnails: Thumbnails,
         check: Callable[[Request], None] = lambda _: None,
     ) -> None:
         """Store the collaborators.
@@ -87,6 +90,7 @@ class Commands:
             respond: publishes a response.
             refresh: publishes state and plan again and returns the state.
             examine: examines the daemon and returns the findings.
+            thumbnails: of stored photos.
             check: raises what forbids a request at present.
         """
         self.camera: str | dict[str, Any] | None = None
@@ -98,6 +102,7 @@ class Commands:
         self._respond = respond
         self._refresh = refresh
         self._examine = examine
+        self._thumbnails = thumbnails
         self._check = check
         self._plans = PlanningDesk()
         self._forgot = False
@@ -177,6 +182,8 @@ class Commands:
                 data = await self._resume(incoming, beginning)
             case MissionsRequest():
                 data = await self._list(request.newest)
+            case ThumbnailsRequest():
+                data = await self._resend(request)
             case DoctorRequest():
                 data = await self._examine(photo=request.photo)
             case SetProfileRequest():
@@ -190,6 +197,14 @@ class Commands:
     async def _list(self, newest: int) -> dict[str, Any]:
         found = await asyncio.to_thread(list_missions, self._config().storage.path, newest=newest)
         return {"missions": [entry.document() for entry in found]}
+
+    async def _resend(self, request: ThumbnailsRequest) -> dict[str, Any]:
+        record = self._missions.record
+        mission_id = request.mission_id or ("" if record is None else record.mission_id)
+        if not mission_id:
+            raise CommandRefusedError("there is no mission yet: say which by mission_id")
+        count = await self._thumbnails.send_again(mission_id, request.shots)
+        return {"mission_id": mission_id, "count": count}
 
     async def _command(self, request: SkipRequest | RepeatRequest) -> dict[str, Any]:
         mission = await self._missions.under_way()

@@ -24,6 +24,7 @@ from panoexec.daemon.missions import Missions
 from panoexec.daemon.sdnotify import SystemdNotifier
 from panoexec.daemon.state_publisher import TWIN, StatePublisher
 from panoexec.daemon.storage import StorageMonitor
+from panoexec.daemon.thumbnails import Thumbnails
 from panoexec.daemon.vehicle_link import VehicleLink
 from panoexec.daemon.watchdog import Watchdog
 from panoexec.inputs.config import Config
@@ -93,7 +94,8 @@ class Daemon:
                 boot_id=self._boot_id,
             )
         self.vehicle = vehicle or VehicleLink(config, clock=clock, changed=self._changed.set)
-        events = EventPublisher(mqtt=self.mqtt, changed=self._changed.set)
+        self._thumbnails = Thumbnails(config=self._config, mqtt=self.mqtt)
+        events = EventPublisher(mqtt=self.mqtt, changed=self._changed.set, beside=self._thumbnails.publish)
         self._files = CameraFiles(self._config, self.vehicle)
         self.missions = Missions(
             config=self._config,
@@ -162,6 +164,7 @@ class Daemon:
             respond=self._respond,
             refresh=self._refresh,
             examine=self._examination.run,
+            thumbnails=self._thumbnails,
             check=self._check_alone,
         )
         resume = AutoResume(
@@ -182,6 +185,7 @@ class Daemon:
         group.create_task(self.vehicle.run(), name="vehicle link")
         group.create_task(self.missions.run(), name="missions")
         group.create_task(self._landed.run(), name="photos of landed missions")
+        group.create_task(self._thumbnails.run(), name="thumbnails")
         group.create_task(self._publisher.run(), name="state")
         group.create_task(self._storage.run(), name="storage")
         group.create_task(self._watchdog.run(), name="watchdog")

@@ -21,16 +21,20 @@ class EventPublisher:
         marks: the state of each shot, as of the last event.
     """
 
-    def __init__(self, *, mqtt: MqttLink | None, changed: Callable[[], None]) -> None:
+    def __init__(
+        self, *, mqtt: MqttLink | None, changed: Callable[[], None], beside: Callable[[Event], None] = lambda _: None
+    ) -> None:
         """Describe it.
 
         Args:
             mqtt: where events are published; None without a broker.
             changed: called after each event.
+            beside: also gets each event.
         """
         self.marks = ShotMarks()
         self._mqtt = mqtt
         self._changed = changed
+        self._beside = beside
 
     def publish(self, event: Event) -> None:
         """See `EventSink.publish`."""
@@ -39,4 +43,5 @@ class EventPublisher:
         _log.info(event.type, seq=event.seq, mission_id=event.mission_id, state=event.state.value, **where)
         if self._mqtt is not None:
             self._mqtt.publish(self._mqtt.topics.event, dump_json(event.to_json()))
+        self._beside(event)
         self._changed()

@@ -13,7 +13,7 @@ from panoexec.errors import PanoexecError
 from panoexec.inputs.config import Config
 from panoexec.logs import configure_logs
 
-_RELOADABLE: Final = ("gimbal", "camera", "pointing", "guards", "mission", "log")
+_RELOADABLE: Final = ("gimbal", "camera", "pointing", "guards", "pictures", "mission", "log")
 
 _log = structlog.get_logger(__name__)
 

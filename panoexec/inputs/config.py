@@ -227,6 +227,13 @@ class GuardsSection(Section):
     require_in_air: bool = False
 
 
+class PicturesSection(Section):
+    """`[pictures]`: what is made of photos whose files arrive."""
+
+    thumbnails: Literal["mqtt", "local", "off"] = "mqtt"
+    thumbnail_bytes_s: Annotated[int, Field(ge=100, le=10_000_000)] = 20_000
+
+
 class MissionSection(Section):
     """`[mission]`: defaults for requests, and handling of an interrupted mission at start."""
 
@@ -319,6 +326,7 @@ class Config(Section):
     camera: CameraSection = CameraSection()
     pointing: PointingSection = PointingSection()
     guards: GuardsSection = GuardsSection()
+    pictures: PicturesSection = PicturesSection()
     mission: MissionSection = MissionSection()
     mqtt: MqttSection = MqttSection()
     storage: StorageSection = StorageSection()

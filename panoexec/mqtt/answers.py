@@ -132,6 +132,33 @@ class DoctorFields(Fields):
     findings: tuple[FindingFields, ...]
 
 
+class StoredMissionFields(Fields):
+    """A mission of the storage."""
+
+    mission_id: str
+    name: str
+    state: str
+    shots_total: int
+    shots_done: int
+    photos: int
+    size_bytes: int
+    path: str
+    problem: str
+
+
+class MissionsFields(Fields):
+    """The newest missions of the storage, oldest first."""
+
+    missions: tuple[StoredMissionFields, ...]
+
+
+class ThumbnailsFields(Fields):
+    """How many thumbnails are sent, as the link has room."""
+
+    mission_id: str
+    count: int
+
+
 class PlanFields(Fields):
     """A plan file, format panoexec.plan/1.
 
@@ -160,6 +187,8 @@ ANSWERS: dict[str, type[BaseModel]] = {
     "repeat": ShotFields,
     "get": State,
     "doctor": DoctorFields,
+    "missions": MissionsFields,
+    "thumbnails": ThumbnailsFields,
     "set_profile": ProfileFields,
 }
 """The model of the `data` of each command's answer."""

@@ -26,6 +26,7 @@ from panoexec.mqtt.client_id import another_client_id, client_id
 from panoexec.mqtt.dialer import TAKEN_OVER, Dialer, Terms
 from panoexec.mqtt.incoming import Inbox, Incoming, incoming_of
 from panoexec.mqtt.outbox import Outgoing
+from panoexec.mqtt.pace import BATCH_S
 from panoexec.mqtt.requests import STOPPING
 from panoexec.mqtt.sender import BATCH, BESIDE, PULSE_S, Sender, with_reason
 from panoexec.mqtt.subscribing import subscribe_requests, subscribe_state
@@ -39,6 +40,7 @@ BACKOFF_S: Final = 1.0
 BACKOFF_MOST_S: Final = 30.0
 _STEADY_S: Final = 10.0
 _FAREWELL_S: Final = 1.0
+_SPARE_S: Final = 5.0
 _SESSION_EXPIRY_S: Final = 30
 _INCOMING: Final = 500
 _LARGEST_PACKET: Final = 16 * 2**20
@@ -102,6 +104,7 @@ class MqttLink:
         self._times = 0
         self._connections = 0
         self._stopping = asyncio.Event()
+        self._talking: BrokerClient | None = None
         self._said = ""
         self._told: list[str] = []
         self._short = 0
@@ -120,6 +123,22 @@ class MqttLink:
     def announce(self) -> None:
         """Publish the status again, if the broker does not keep it."""
         self._sender.announce(ONLINE)
+
+    async def publish_spare(self, topic: str, payload: bytes) -> bool:
+        """Publish a message with QoS 0 that may be lost, if the link has room for it now.
+
+        Returns:
+            Whether it was sent: not while anything else waits, nor on a link on which it would take longer than
+            everything else may.
+        """
+        client, size = self._talking, len(payload) + len(topic)
+        if client is None or len(self.outbox) or self._sender.pace.takes_s(size) > BATCH_S:
+            return False
+        try:
+            await client.publish(topic, payload, qos=0, timeout=_SPARE_S)
+        except (aiomqtt.MqttError, ValueError):
+            return False
+        return True
 
     def respond(self, request: Incoming, payload: bytes) -> None:
         """Publish a response on the response topic of the command, and on that of the request if it is allowed."""
@@ -240,9 +259,11 @@ class MqttLink:
         """Receive requests and publish messages until the connection is lost or `stop`."""
         reading = asyncio.create_task(self._read(client), name="mqtt requests")
         sending = asyncio.create_task(self._send(client), name="mqtt outbox")
+        self._talking = client
         try:
             await asyncio.wait({reading, sending}, return_when=asyncio.FIRST_COMPLETED)
         finally:
+            self._talking = None
             for task in (reading, sending):
                 task.cancel()
             results = await asyncio.gather(reading, sending, return_exceptions=True)

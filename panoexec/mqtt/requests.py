@@ -283,6 +283,21 @@ class MissionsRequest(Request):
     newest: Annotated[int, Strict(), Field(ge=1, le=50)] = 10
 
 
+class ThumbnailsRequest(Request):
+    """Publish thumbnails again.
+
+    Attributes:
+        mission_id: whose; the current or last mission if it is missing.
+        shots: which; all that there are if it is missing.
+    """
+
+    command: ClassVar[str] = "thumbnails"
+    acts: ClassVar[bool] = False
+
+    mission_id: Annotated[str, Strict(), Field(pattern=r"^\d{8}T\d{6}\.\d{3}Z$")] | None = None
+    shots: Annotated[list[ShotIndex], Field(max_length=10_000)] | None = None
+
+
 class DoctorRequest(Request):
     """Examine link, rates, gimbal, camera, broker and computer; nothing moves.
 
@@ -324,6 +339,7 @@ REQUESTS: dict[str, type[Request]] = {
         GetRequest,
         DoctorRequest,
         MissionsRequest,
+        ThumbnailsRequest,
         SetProfileRequest,
     )
 }

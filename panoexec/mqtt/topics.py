@@ -28,6 +28,10 @@ class Topics:
         """The response topic of a command."""
         return f"{self.base}/response/{command}"
 
+    def thumbnail(self, mission_id: str, shot: int | str) -> str:
+        """The topic of the thumbnail of a shot."""
+        return f"{self.base}/thumbnail/{mission_id}/{shot}"
+
     def may_answer_at(self, topic: str) -> bool:
         """Whether a response may be sent to this topic: below the base topic and not used for anything else."""
         if not topic.startswith(f"{self.base}/") or any(char in topic for char in "+#") or not topic.isprintable():
@@ -36,7 +40,7 @@ class Topics:
         if len(topic.encode()) > _LONGEST or topic.count("/") >= _DEEPEST:
             return False
         first = topic.removeprefix(f"{self.base}/").partition("/")[0]
-        return first not in {"status", "state", "plan", "event", "request", ""}
+        return first not in {"status", "state", "plan", "event", "request", "thumbnail", ""}
 
 
 def is_topic_part(text: str) -> bool:

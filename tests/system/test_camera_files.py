@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import json
 from pathlib import Path
 from typing import Any
+
+import aiomqtt
 
 from panoexec.sim import settings
 from panoexec.sim.config import SimConfig
@@ -13,8 +16,8 @@ from panoexec.sim.process import free_udp_port, running_simulator
 from panoexec.store.directory import MissionDirectory
 from panoexec.store.journal import load_journal
 from panoexec.store.landed_mission import record_of
-from tests.system.daemon import SMALL, ground_station, ready, serving
-from tests.wire.broker import needs_mosquitto, running_broker
+from tests.system.daemon import SMALL, Ground, ground_station, ready, serving
+from tests.wire.broker import Broker, needs_mosquitto, running_broker
 
 pytestmark = needs_mosquitto
 
@@ -47,6 +50,25 @@ def _check(mission: Path, card: Path, *, source: str) -> list[dict[str, Any]]:
     return list(manifest["shots"])
 
 
+async def _check_thumbnails(ground: Ground, broker: Broker, mission: Path) -> None:
+    """All are kept in the mission directory, and published when they are asked for."""
+    kept = mission / "thumbnails"
+    await ground.until(lambda: len(list(kept.glob("*.jpg"))) == ground.state["shots_total"])
+    async with aiomqtt.Client("127.0.0.1", broker.port) as client:
+        await client.subscribe("panoexec/drone/thumbnail/#")
+        answer = await ground.ask("thumbnails", "t")
+        assert answer["data"] == {"mission_id": mission.name, "count": ground.state["shots_total"]}
+        seen: dict[str, bytes] = {}
+        async with asyncio.timeout(60):
+            async for message in client.messages:
+                seen[str(message.topic).removeprefix("panoexec/drone/thumbnail/")] = bytes(message.payload)
+                assert (message.qos, message.retain) == (0, False)
+                if len(seen) == answer["data"]["count"]:
+                    break
+    assert seen == {f"{mission.name}/{path.stem}": path.read_bytes() for path in kept.glob("*.jpg")}
+    assert all(len(payload) <= 20_000 for payload in seen.values())
+
+
 async def test_a_mission_ends_complete_with_every_photo_hashed_in_its_directory(tmp_path: Path) -> None:
     port, card = free_udp_port(), tmp_path / "card"
     simulation = settings.changed(
@@ -60,7 +82,7 @@ async def test_a_mission_ends_complete_with_every_photo_hashed_in_its_directory(
             serving(tmp_path, broker, port, more=more, speedup=_SPEEDUP),
         ):
             await ready(ground)
-            start = await ground.ask("start", "s", **SMALL, azimuth_deg=[0, 90])
+            start = await ground.ask("start", "s", **SMALL, azimuth_deg=[0, 90], name="a chapel")
             await ground.until(lambda: ground.state["state"] == "complete")
             mission = tmp_path / "data" / "missions" / start["data"]["mission_id"]
             await ground.until(lambda: _is_whole(mission) and (mission / "outputs.json").exists())
@@ -70,5 +92,10 @@ async def test_a_mission_ends_complete_with_every_photo_hashed_in_its_directory(
             # outputs are written after the last photo
             told = json.loads((mission / "manifest.json").read_text())["journal"]["events"]
             await ground.until(lambda: json.loads((mission / "outputs.json").read_text())["events"] == told)
+            listed = (await ground.ask("missions", "m"))["data"]["missions"]
+            assert [(one["mission_id"], one["name"]) for one in listed] == [(mission.name, "a chapel")]
+            assert ground.state["name"] == "a chapel"
+            await _check_thumbnails(ground, broker, mission)
+            assert ground.misfits == []
             shots = _check(mission, card, source="http")
             assert len(shots) == ground.state["shots_total"]

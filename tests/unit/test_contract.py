@@ -119,7 +119,8 @@ def test_the_mission_directory() -> None:
 def test_topics_and_payloads() -> None:
     told = rows("MQTT")
     topics = Topics("panoexec", "<vehicle>")
-    ours = (topics.status, topics.state, topics.plan, topics.event)
+    thumbnail = topics.thumbnail("<mission_id>", "<shot>")
+    ours = (topics.status, topics.state, topics.plan, topics.event, thumbnail)
     answered = (topics.request("<command>"), topics.response("<command>"))
     assert set(told) == {topic.removeprefix("panoexec/<vehicle>/") for topic in (*ours, *answered)}
     within = {"ok", "age_s"}

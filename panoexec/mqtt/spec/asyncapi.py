@@ -64,6 +64,11 @@ def _channels(requests: dict[str, str]) -> dict[str, Any]:
     channels: dict[str, Any] = {}
     for name, what in (("status", "Status"), ("state", "State"), ("plan", "Plan"), ("event", "Event")):
         channels[name] = _channel(name, {what: {"$ref": _MESSAGES + what}})
+    channels["thumbnail"] = _channel("thumbnail/{mission_id}/{shot}", {"Thumbnail": {"$ref": _MESSAGES + "Thumbnail"}})
+    channels["thumbnail"]["parameters"] |= {
+        "mission_id": {"description": "id of the mission"},
+        "shot": {"description": "index of the shot"},
+    }
     for command, model in requests.items():
         channels[f"request_{command}"] = _channel(f"request/{command}", {model: {"$ref": _MESSAGES + model}})
         channels[f"response_{command}"] = _channel(
@@ -92,6 +97,11 @@ def _operations() -> dict[str, Any]:
             "channel": {"$ref": f"#/channels/{name}"},
             "bindings": {"mqtt": {"qos": 1, "retain": retained, "bindingVersion": "0.2.0"}},
         }
+    operations["publish_thumbnail"] = {
+        "action": "send",
+        "channel": {"$ref": "#/channels/thumbnail"},
+        "bindings": {"mqtt": {"qos": 0, "retain": False, "bindingVersion": "0.2.0"}},
+    }
     for command, model in REQUESTS.items():
         operations[command] = {
             "action": "receive",
@@ -108,6 +118,12 @@ def _messages(requests: dict[str, str]) -> dict[str, Any]:
     for name in ("Status", "State", "Plan", "Event", *map(_answer, requests)):
         messages[name] = {"name": name, "payload": {"$ref": _SCHEMAS + name}}
     messages["Status"]["contentType"] = "text/plain"
+    messages["Thumbnail"] = {
+        "name": "Thumbnail",
+        "description": "A JPEG of at most 20000 bytes.",
+        "contentType": "image/jpeg",
+        "payload": {"type": "string", "contentMediaType": "image/jpeg"},
+    }
     for model in requests.values():
         messages[model] = {
             "name": model,

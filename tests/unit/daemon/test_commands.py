@@ -16,6 +16,7 @@ import pytest
 from panoexec.clock import SystemClock
 from panoexec.daemon.commands import Commands
 from panoexec.daemon.missions import Missions
+from panoexec.daemon.thumbnails import Thumbnails
 from panoexec.daemon.vehicle_link import VehicleLink
 from panoexec.errors import DeviceError
 from panoexec.inputs.config import Config
@@ -80,6 +81,7 @@ async def a_desk(folder: Path, boot_id: str = "one", refresh: Any = None) -> Asy
                 respond=respond,
                 refresh=refreshed,
                 examine=examined,
+                thumbnails=Thumbnails(config=lambda: config, mqtt=None),
             )
             await commands.restore()
             desks.append(Desk(commands))
