@@ -77,6 +77,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     mission.add_argument("--name", default="", metavar="TEXT", help="what people call the mission")
     mission.add_argument("--no-images", action="store_true", help="do not render the photos")
+    mission.add_argument(
+        "--pictures",
+        choices=("off", "warn", "retake"),
+        default="retake",
+        help="what follows from the content of the photos: nothing, a warning, a retake (retake)",
+    )
     mission.add_argument("--verbose", action="store_true", help="log messages of links and devices to stderr")
     mission.add_argument("--json", action="store_true", help="print the summary as one JSON document on stdout")
     add_camera_arguments(parser, required=False)
@@ -172,6 +178,7 @@ def _options(args: argparse.Namespace) -> DryRunOptions:
         max_pause_s=_MAX_PAUSE_S,
         guards=guard_settings(_GUARDS, _GIMBAL),
         gimbal=plan.constraints.gimbal or GimbalLimits(),
+        pictures="off" if args.no_images else args.pictures,
     )
     if args.yaw == "vehicle":
         settings = replace(settings, max_rate_deg_s=_NOSE_RATE_DEG_S, patience_s=_NOSE_PATIENCE_S)

@@ -96,6 +96,7 @@ def settings_of(config: Config, spec: PlanSpec) -> MissionSettings:
         feedback="none" if config.gimbal.feedback == "none" else "auto",
         gimbal=spec.constraints.gimbal or GimbalLimits(),
         guards=guard_settings(config.guards, config.gimbal),
+        pictures=config.pictures.check,
     )
 
 

@@ -100,6 +100,8 @@ class DryRunSummary:
         vehicle: description as in the manifest; `landed` if a landing was needed.
         turns: number of turns of the vehicle, where it pans.
         report: the HTML report.
+        content: what the content of the photos proves: `bad` (shot, file, code), `geometry_only`,
+            `unchecked`, `groups`, `bridges`; empty if nothing was examined.
     """
 
     mission_id: str
@@ -122,6 +124,7 @@ class DryRunSummary:
     vehicle: dict[str, Any] = field(default_factory=dict)
     turns: int = 0
     report: Path | None = None
+    content: dict[str, Any] = field(default_factory=dict)
 
     @property
     def limit_ratio(self) -> float:
@@ -381,7 +384,26 @@ def summarise(
         limit_s=limit_s,
         trigger_delay_s=delays[math.ceil(0.99 * len(delays)) - 1] if delays else math.nan,
         certificate=certificate,
+        content=_content_of(record),
     )
+
+
+def _content_of(record: MissionRecord) -> dict[str, Any]:
+    content = record.content
+    if content is None:
+        return {}
+    bad = []
+    for shot, code in record.bad_photos().items():
+        accepted = record.shots[shot].accepted
+        file = accepted.photos[0].file if accepted is not None and accepted.photos else ""
+        bad.append({"shot": shot, "file": Path(file).name, "code": code})
+    return {
+        "bad": bad,
+        "geometry_only": list(content.geometry_only),
+        "unchecked": list(content.unchecked),
+        "groups": content.groups,
+        "bridges": len(content.bridges) // 2,
+    }
 
 
 def worst_of(errors: list[AxisErrors]) -> AxisErrors | None:

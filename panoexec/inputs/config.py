@@ -230,6 +230,7 @@ class GuardsSection(Section):
 class PicturesSection(Section):
     """`[pictures]`: what is made of photos whose files arrive."""
 
+    check: Literal["off", "warn", "retake"] = "retake"
     thumbnails: Literal["mqtt", "local", "off"] = "mqtt"
     thumbnail_bytes_s: Annotated[int, Field(ge=100, le=10_000_000)] = 20_000
 

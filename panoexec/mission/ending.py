@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from panoexec.mission.context import MissionContext
 from panoexec.mission.log import events as ev
+from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.waiting import until
 from panoexec.planning.model import Certificate, Hole
+
+_NAMED = 5
 
 
 class Ending:
@@ -55,9 +58,11 @@ class Ending:
                 f"every shot was accepted, but the measured attitudes leave a hole of {hole.size_deg:.2g}° at elevation"
                 f" {hole.elevation_deg:.1f}°, azimuth {hole.azimuth_deg:.1f}°"
             )
+        elif not missing and record.bad_photos():
+            state, reason = MissionState.INCOMPLETE, f"every shot was accepted, but {_said(record)}"
         elif not missing:
-            state, reason = MissionState.COMPLETE, "every shot was accepted"
-        elif certified:
+            state, reason = MissionState.COMPLETE, f"every shot was accepted{_proved(record)}"
+        elif certified and not record.bad_photos():
             state = MissionState.COMPLETE
             reason = f"{len(missing)} shots are missing, but the measured attitudes prove the panorama complete"
         else:
@@ -101,3 +106,26 @@ class Ending:
         for shot in patches:
             context.queue.add(shot.index)
         return True
+
+
+def _said(record: MissionRecord) -> str:
+    """Which photos do not count, and why."""
+    bad = record.bad_photos()
+    named = ", ".join(f"shot {shot} ({code})" for shot, code in list(bad.items())[:_NAMED])
+    more = f" and {len(bad) - _NAMED} more" if len(bad) > _NAMED else ""
+    return f"the content of {len(bad)} photos does not count: {named}{more}"
+
+
+def _proved(record: MissionRecord) -> str:
+    """What the content adds to the geometry; nothing if no content was to be checked."""
+    content = record.content
+    if content is None:
+        return ""
+    parts = []
+    if content.geometry_only:
+        parts.append(f"{len(content.geometry_only)} photos are proved by geometry only")
+    if content.unchecked:
+        parts.append(f"the content of {len(content.unchecked)} is unchecked")
+    if content.groups > 1:
+        parts.append(f"the photos are tied in {content.groups} groups that only geometry connects")
+    return "; " + "; ".join(parts) if parts else "; their content is good"

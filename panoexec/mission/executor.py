@@ -12,6 +12,7 @@ from panoexec.clock import Clock
 from panoexec.devices import Camera, Gimbal, Vehicle
 from panoexec.errors import DeviceError, MissionError
 from panoexec.mission.attempt import Shooter
+from panoexec.mission.content_check import ContentCheck, PictureSource
 from panoexec.mission.context import MissionContext
 from panoexec.mission.ending import Ending
 from panoexec.mission.eta import EtaEstimator
@@ -63,6 +64,7 @@ class Mission:
         verifier: computes certificates outside the event loop.
         reference: direction of the plan's yaw 0: true north, or the vehicle's heading at the start.
         past: events of this mission from an earlier process, to resume from.
+        pictures: where photos are, and what examines them; None: their content is not checked.
         guards: the guards to evaluate; None: those that the settings enable.
 
     Raises:
@@ -86,6 +88,7 @@ class Mission:
         reference: Literal["north", "heading"] = "north",
         past: Sequence[ev.Event] = (),
         guards: tuple[Guard, ...] | None = None,
+        pictures: PictureSource | None = None,
     ) -> None:
         record = MissionRecord.from_events(mission_id=mission_id, shots=plan.shots, events=past)
         if record.state in FINISHED:
@@ -110,6 +113,7 @@ class Mission:
         self._reference = reference
         self._guard_monitor = GuardMonitor(self._context, flight_guards(settings) if guards is None else guards)
         self._ending = Ending(self._context)
+        self._content = ContentCheck(self._context, pictures, self._take_back)
         self._shooting: Shooting | None = None
         self._run_called = False
         self.commands = OperatorCommands(self._context)
@@ -207,9 +211,11 @@ class Mission:
             self._start()
             async with asyncio.TaskGroup() as group:
                 watching = group.create_task(self._guard_monitor.watch(), name="mission guards")
+                checking = group.create_task(self._content.run(), name="content of photos")
                 await self._run_phases(group)
                 requests.over = True
                 await self._guard_monitor.release()
+                checking.cancel()
                 watching.cancel()
             planned_end = True
         except asyncio.CancelledError:
@@ -269,10 +275,15 @@ class Mission:
             if not context.requests.must_end_shooting:
                 await self._shooting.run()
             await self._shooting.evidence_in()
+            await until(context.requests.stopping.wait(), self._content.settle(), "content of photos")
             if len(context.queue) and not context.requests.must_end_shooting:
                 continue  # an accepted photo was revoked
             if context.requests.stop is not None or await self._ending.finish():
                 return
+
+    def _take_back(self, shot: int, number: int, code: str, reason: str, photos: tuple[ev.Photo, ...]) -> None:
+        assert self._shooting is not None
+        self._shooting.revoke(shot, number, code, reason, photos)
 
     def _restore_commands(self) -> None:
         """Restore commands that an earlier process acknowledged but did not carry out."""

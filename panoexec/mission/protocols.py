@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -10,6 +10,7 @@ from panoexec.angles import FloatArray
 from panoexec.devices import RecalledPhotos
 from panoexec.formats.photo_settings import PhotoExif
 from panoexec.mission.log.events import Event
+from panoexec.pictures.model import Content, Verdicts
 from panoexec.planning.model import Certificate, Shot, TurnLimits
 
 
@@ -39,6 +40,30 @@ class Verifier(Protocol):
 
     async def patch(self, rotations: FloatArray, rows: Sequence[int]) -> Sequence[Shot]:
         """Shots that close the holes of these attitudes; empty if there are no holes or no shots can close them."""
+        ...
+
+
+class PictureChecker(Protocol):
+    """Examines photos, in a process of its own; every method may raise `PanoexecError` if that failed."""
+
+    async def plan(self, planned: Mapping[int, Sequence[float]]) -> None:
+        """Tell planned attitudes, quaternions by shot."""
+        ...
+
+    async def add(self, shot: int, path: Path, q_wxyz: Sequence[float], time_s: float) -> Verdicts:
+        """Examine a photo; the verdicts on all photos so far."""
+        ...
+
+    async def condemn(self, shot: int, code: Content, reason: str, q_wxyz: Sequence[float], time_s: float) -> Verdicts:
+        """Add a photo that is bad for a reason that others found."""
+        ...
+
+    async def drop(self, shots: Sequence[int]) -> Verdicts:
+        """Forget photos."""
+        ...
+
+    async def judge(self, *, final: bool = False) -> Verdicts:
+        """The verdicts on all photos; `final`: no more are to come."""
         ...
 
 

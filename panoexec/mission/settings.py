@@ -12,6 +12,7 @@ from panoexec.planning.model import GimbalLimits, Tolerance
 
 AcceptBy: TypeAlias = Literal["tolerance", "overlap"]
 Feedback: TypeAlias = Literal["auto", "none"]
+PictureCheck: TypeAlias = Literal["off", "warn", "retake"]
 Reclaim: TypeAlias = Literal["ask", "never"]
 
 
@@ -73,6 +74,8 @@ class MissionSettings:
         max_pause_s: a longer pause ends the mission (as failed; it can be resumed).
         device_tries: how often a refused pointing command is sent.
         release_s: timeout for releasing the gimbal at the end.
+        pictures: what follows from the content of photos whose files arrive: nothing (they are not examined), a
+            warning, or a retake.
     """
 
     tolerance: Tolerance
@@ -97,6 +100,7 @@ class MissionSettings:
     max_pause_s: Number = 600.0
     device_tries: Whole = 3
     release_s: Number = 4.0
+    pictures: PictureCheck = "off"
 
     def __post_init__(self) -> None:
         """Validate the values.

@@ -22,6 +22,8 @@ from panoexec.planning.geometry.overlap import pairwise_overlap
 
 EXAMINED_PX: Final = 1000
 """Longer side at which photos are examined."""
+LEAST_PX: Final = 240
+"""Longer side below which nothing is examined but whether the file can be read."""
 MIN_OVERLAP: Final = 0.03
 """Least overlap, both ways, of photos that are compared."""
 _BLACK, _WHITE = 10.0, 250.0
@@ -133,6 +135,9 @@ class Examiner:
             text = f"is {size[0]} x {size[1]} px, the others {self._size[0]} x {self._size[1]} px"
             own.problem = (Content.UNREADABLE, text)
             return
+        if max(decoded.grey.shape) < LEAST_PX:
+            own.problem = (Content.UNCHECKED, f"{size[0]} x {size[1]} px are too few to be examined")
+            return
         features = features_of(decoded.grey)
         own.problem = _own_exposure(features.exposure)
         own.digest = hashlib.sha256(decoded.grey.tobytes()).digest()
@@ -141,6 +146,11 @@ class Examiner:
             return
         self._tie(own)
         self._make_room()
+
+    def condemn(self, photo: PhotoToCheck, code: str, reason: str) -> None:
+        """Add a photo that is bad for a reason that others found; it replaces an earlier one of the same shot."""
+        self.drop(photo.shot)
+        self._photos[photo.shot] = _Photo(photo, problem=(Content(code), reason))
 
     def verdicts(self, *, final: bool = False) -> Verdicts:
         """Judge all photos so far.

@@ -95,18 +95,28 @@ FAULTS: dict[str, Fault] = {
     "rtl": Fault(kind=Kind.ONCE, text="a failsafe of the autopilot changes the flight mode to RTL"),
     "battery-low": Fault(kind=Kind.ONCE, text="the battery falls to the size", size=0.12, unit="fraction"),
     "gust": Fault(kind=Kind.SPAN, text="wind rises by the size", size=14.0, unit="m/s", duration_s=8.0),
-    "photo-black": Fault(kind=Kind.PHOTO, text="the picture is black"),
-    "photo-dark": Fault(kind=Kind.PHOTO, text="the picture is underexposed", size=3.0, unit="stops"),
-    "photo-blur": Fault(kind=Kind.PHOTO, text="the picture is smeared along a line", size=6.0, unit="px"),
-    "photo-defocus": Fault(kind=Kind.PHOTO, text="the picture is out of focus", size=6.0, unit="px"),
-    "photo-truncated": Fault(kind=Kind.PHOTO, text="the file ends early"),
-    "photo-damaged": Fault(kind=Kind.PHOTO, text="sectors of the file are zero or other data"),
-    "photo-swapped": Fault(
-        kind=Kind.PHOTO, text="the file has the picture of a later photo, and that one's this", size=1.0, unit="photo"
+    "photo-black": Fault(kind=Kind.PHOTO, text="the picture is black", probability=0.1),
+    "photo-dark": Fault(kind=Kind.PHOTO, text="the picture is underexposed", size=3.0, unit="stops", probability=0.1),
+    "photo-blur": Fault(
+        kind=Kind.PHOTO, text="the picture is smeared along a line", size=6.0, unit="px", probability=0.1
     ),
-    "photo-stale": Fault(kind=Kind.PHOTO, text="the file is the previous photo's again"),
+    "photo-defocus": Fault(kind=Kind.PHOTO, text="the picture is out of focus", size=6.0, unit="px", probability=0.1),
+    "photo-truncated": Fault(kind=Kind.PHOTO, text="the file ends early", probability=0.1),
+    "photo-damaged": Fault(kind=Kind.PHOTO, text="sectors of the file are zero or other data", probability=0.1),
+    "photo-swapped": Fault(
+        kind=Kind.PHOTO,
+        text="the file has the picture of a later photo, and that one's this",
+        size=1.0,
+        unit="photo",
+        probability=0.1,
+    ),
+    "photo-stale": Fault(kind=Kind.PHOTO, text="the file is the previous photo's again", probability=0.1),
     "attitude-lie": Fault(
-        kind=Kind.PHOTO, text="the camera looks elsewhere than the gimbal reports, about any axis", size=1.0, unit="deg"
+        kind=Kind.PHOTO,
+        text="the camera looks elsewhere than the gimbal reports, about any axis",
+        size=1.0,
+        unit="deg",
+        probability=0.1,
     ),
     "clock-jump": Fault(kind=Kind.ONCE, text="the vehicle's UTC jumps by the size", size=3600.0, unit="s"),
 }

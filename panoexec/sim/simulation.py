@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections.abc import Callable
@@ -28,6 +29,7 @@ _CHUNK_S = 0.02
 """Longest wall time between two polls of the sockets."""
 _FAULT_S = 0.02
 _HEADING_HOLD_S = 0.2
+_SWAP_S = 6.0
 
 
 class Simulation:
@@ -147,6 +149,10 @@ class Simulation:
         """Exposures made so far."""
         return self._photos
 
+    def _flush_if_last(self, count: int) -> None:
+        if count == self._photos:
+            self.flush_photos()
+
     def flush_photos(self) -> None:
         """Have photos rendered that wait for a later one (fault `photo-swapped`)."""
         self._mixer.flush()
@@ -241,6 +247,8 @@ class Simulation:
         if output is None or not self._renders:
             return name
         path = output.absolute() / name
+        # a photo that waits for another one to be swapped with does not wait for ever
+        self.timeline.after(_SWAP_S, functools.partial(self._flush_if_last, self._photos))
         self._mixer.develop(
             ExposedPhoto(
                 path=str(path),

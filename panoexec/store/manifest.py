@@ -183,9 +183,38 @@ class ManifestWriter:
             "gimbal": _gimbal_json(record),
             "battery": [{"time": iso_utc(time), "charge_frac": round(charge, 4)} for time, charge in self._charges],
             "warnings": list(record.warnings),
-            "certificate": None if certificate is None else certificate_to_data(certificate),
+            "certificate": _certificate_json(certificate, record),
             "conventions": CONVENTIONS,
         }
+
+
+def _certificate_json(certificate: Certificate | None, record: MissionRecord) -> dict[str, Any] | None:
+    """The certificate as flown: of the geometry, in the form of a plan's, and beside it the parts."""
+    if certificate is None:
+        return None
+    return certificate_to_data(certificate) | {
+        "geometry": {"certified": certificate.certified},
+        "content": _content_json(record),
+    }
+
+
+def _content_json(record: MissionRecord) -> dict[str, Any]:
+    content = record.content
+    if content is None:
+        return {"checked": False, "reason": "no photo reached this computer, or their content was not to be checked"}
+    bad = record.bad_photos()
+    edges, bridges = content.edges, content.bridges
+    return {
+        "checked": True,
+        "certified": not bad and content.groups <= 1 and not content.unchecked,
+        "connected": content.groups <= 1,
+        "groups": content.groups,
+        "ties": [list(pair) for pair in zip(edges[::2], edges[1::2], strict=True)],
+        "bridges": [list(pair) for pair in zip(bridges[::2], bridges[1::2], strict=True)],
+        "geometry_only": list(content.geometry_only),
+        "bad": [{"shot": shot, "code": code} for shot, code in bad.items()],
+        "unchecked": list(content.unchecked),
+    }
 
 
 def read_manifest(path: Path) -> dict[str, Any]:
@@ -274,6 +303,7 @@ def _shot_json(record: ShotRecord, reference_yaw_north_deg: float, folder: Path)
         "accepted_attempt": None if accepted is None else accepted.number,
         "file": "" if accepted is None else attempts[accepted.number - 1]["file"],
         "sha256": None if accepted is None else attempts[accepted.number - 1]["sha256"],
+        "content": None if accepted is None else attempts[accepted.number - 1]["content"],
         "attempts": attempts,
     }
 
@@ -300,6 +330,7 @@ def _attempt_json(attempt: AttemptRecord, folder: Path) -> dict[str, Any]:
         "file": photos[0]["file"] if photos else "",
         "sha256": photos[0]["sha256"] if photos else None,
         "photos": photos,
+        "content": _checked_json(attempt.checked),
     }
     if exposed is not None:
         out["measured"] = None if exposed.measured is None else _pose_json(exposed.measured)
@@ -309,6 +340,20 @@ def _attempt_json(attempt: AttemptRecord, folder: Path) -> dict[str, Any]:
         out["slew_settle_s"] = exposed.slew_settle_s
         out["trigger_delay_s"] = exposed.trigger_delay_s
     return out
+
+
+def _checked_json(checked: ev.PhotoChecked | None) -> dict[str, Any]:
+    """What the content of an attempt's photo proves."""
+    if checked is None:
+        return {"verdict": "unchecked", "reason": "", "sharpness": None, "ties": []}
+    return {
+        "verdict": checked.verdict,
+        "reason": checked.reason,
+        "sharpness": _number(checked.sharpness),
+        "odd_deg": checked.odd_deg,
+        "error_deg": list(checked.error_deg),
+        "ties": [encode(tie) for tie in checked.ties],
+    }
 
 
 def _photo_json(attempt: AttemptRecord, photo: ev.Photo, folder: Path) -> dict[str, Any]:

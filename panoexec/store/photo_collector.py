@@ -58,6 +58,7 @@ class _Trouble:
     tries: int
     next_s: float
     problem: str
+    refused: bool = False
 
 
 def wanted_files(record: MissionRecord) -> list[Wanted]:
@@ -138,6 +139,14 @@ class PhotoCollector:
         """Why files have not been brought yet, in order."""
         return {one: found.problem for one in self._known() if (found := self._trouble.get(one)) is not None}
 
+    def refused(self) -> dict[tuple[int, int], str]:
+        """Files that are no photos of their shots for good, by shot and attempt, with the reason."""
+        return {
+            (one.shot, one.attempt): found.problem
+            for one, found in self._trouble.items()
+            if found.refused and found.tries >= _TRIES
+        }
+
     async def run(self) -> None:
         """Bring files until cancelled."""
         while True:
@@ -203,7 +212,8 @@ class PhotoCollector:
         ):
             tries = _TRIES
         pause_s = min(_FIRST_PAUSE_S * 2 ** (tries - 1), _LONGEST_PAUSE_S)
-        self._trouble[one] = _Trouble(tries, time.monotonic() + pause_s, str(error))
+        refused = isinstance(error, PhotoRefusedError)
+        self._trouble[one] = _Trouble(tries, time.monotonic() + pause_s, str(error), refused)
         if tries in {3, _TRIES}:
             _log.warning("photo not brought", shot=one.shot, problem=str(error), given_up=tries >= _TRIES)
 

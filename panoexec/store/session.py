@@ -19,6 +19,7 @@ from panoexec.codec import decode, encode
 from panoexec.devices import Camera, Gimbal, Severity, Vehicle
 from panoexec.errors import MissionError, UsageError
 from panoexec.inputs.plan_file import plan_from_data, plan_to_data, write_plan
+from panoexec.mission.content_check import PictureSource
 from panoexec.mission.executor import Mission
 from panoexec.mission.log.events import Event, EventSink
 from panoexec.mission.log.record import MissionRecord
@@ -28,6 +29,7 @@ from panoexec.mission.pilot_messages import PilotMessage, PilotMessenger
 from panoexec.mission.protocols import Journal, PhotoFetcher
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.waiting import first_failure
+from panoexec.pictures.process import PictureProcess
 from panoexec.planning.model import Plan
 from panoexec.store.catalogue import next_number
 from panoexec.store.directory import MissionDirectory, new_mission_directory
@@ -213,6 +215,7 @@ class MissionSession:
             fetchers: ways to bring the camera's files into the mission directory while the mission flies.
         """
         sinks: list[EventSink] = []
+        collectors: list[PhotoCollector] = []
         try:
             mission = Mission(
                 mission_id=stored.directory.mission_id,
@@ -227,6 +230,11 @@ class MissionSession:
                 verifier=ThreadedVerifier(plan=stored.plan),
                 reference=reference,
                 past=stored.events,
+                pictures=PictureSource(
+                    folder=stored.directory.path,
+                    open=PictureProcess.running,
+                    refused=lambda: collectors[0].refused() if collectors else {},
+                ),
             )
             writer = ManifestWriter(
                 path=stored.directory.manifest,
@@ -242,6 +250,7 @@ class MissionSession:
             folder = stored.directory.path
             photos = PhotoStore(folder, record=mission.record, emit=mission.note)
             collector = PhotoCollector(folder, record=mission.record, store=photos, fetchers=fetchers)
+            collectors.append(collector)
             sinks += [writer, messenger, collector]
             with closing(photos):
                 yield cls(

@@ -14,6 +14,7 @@ from panoexec.devices import EvidenceLevel
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import ENDED, MissionState, check_transition
 from panoexec.mission.pointing.poses import pose_of
+from panoexec.pictures.model import BAD
 from panoexec.planning.model import Shot
 
 
@@ -67,6 +68,8 @@ class AttemptRecord:
     photos: tuple[ev.Photo, ...] = ()
     stored: dict[int, ev.PhotoStored] = field(default_factory=dict)
     """The files in the mission directory, by number of the photo."""
+    checked: ev.PhotoChecked | None = None
+    """What the content of its photo proves; None if it was not examined."""
 
     @property
     def evidence(self) -> EvidenceLevel | None:
@@ -191,6 +194,8 @@ class MissionRecord:
         """Evidence that the camera gives of its photos by reports of its own: `FEEDBACK_PIN`, `CAPTURE_MESSAGE`, or
         `COMMANDED` before its first report."""
         self.patch_rounds = 0
+        self.content: ev.ContentJudged | None = None
+        """What the content of all photos proves together; None while nothing was examined."""
         self.asked = PendingCommands()
         self._done: set[int] = set()
         self._attempts = 0
@@ -244,6 +249,8 @@ class MissionRecord:
                 self.warnings.append(event.text)
             case ev.PatchPlanned():
                 self._patch(event)
+            case ev.ContentJudged():
+                self.content = event
             case ev.ShotEvent():
                 self._apply_shot(event)
             case _:
@@ -359,6 +366,12 @@ class MissionRecord:
                 attempt.photos = event.photos
             case ev.PhotoStored():
                 self._store(event, record)
+            case ev.PhotoChecked():
+                if not 1 <= event.attempt <= len(record.attempts):
+                    raise ValueError(
+                        f"shot {event.shot}: a photo of attempt {event.attempt} is checked, which never began"
+                    )
+                record.attempts[event.attempt - 1].checked = event
             case _:
                 raise ValueError(f"no rule for {event.type}")
 
@@ -388,6 +401,15 @@ class MissionRecord:
         if not 1 <= event.attempt <= len(attempts) or attempts[event.attempt - 1].verdict is not Verdict.OPEN:
             raise ValueError(f"shot {event.shot}: {event.type} for attempt {event.attempt}, which is not open")
         return attempts[event.attempt - 1]
+
+    def bad_photos(self) -> dict[int, str]:
+        """Shots whose accepted photo does not count for its content, with the verdict."""
+        found = {}
+        for index, shot in sorted(self.shots.items()):
+            accepted = shot.accepted
+            if accepted is not None and accepted.checked is not None and accepted.checked.verdict in BAD:
+                found[index] = accepted.checked.verdict
+        return found
 
     @property
     def ended(self) -> bool:
