@@ -16,11 +16,13 @@ UNITS = ROOT / "systemd"
 pytestmark = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
 
 
-def exposure(folder: Path, *, drop_in: bool) -> float:
+def exposure(folder: Path, *drop_ins: str) -> float:
     unit = Path(shutil.copy(UNITS / "panoexec.service", folder))
-    if drop_in:
-        (folder / "panoexec.service.d").mkdir()
-        shutil.copy(UNITS / "serial.conf", folder / "panoexec.service.d")
+    drop_in = folder / "panoexec.service.d"
+    shutil.rmtree(drop_in, ignore_errors=True)
+    drop_in.mkdir()
+    for name in drop_ins:
+        shutil.copy(UNITS / name, drop_in)
     command = ["systemd-analyze", "security", "--offline=true", "--no-pager", str(unit)]
     out = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     found = re.search(r"Overall exposure level for panoexec.service: ([\d.]+)", out)
@@ -29,7 +31,9 @@ def exposure(folder: Path, *, drop_in: bool) -> float:
 
 
 def test_exposure(tmp_path: Path) -> None:
-    alone = exposure(tmp_path, drop_in=False)
+    alone = exposure(tmp_path)
     assert alone <= 1.5
-    # the drop-in opens devices, so it must show
-    assert alone < exposure(tmp_path, drop_in=True) <= 1.5
+    # a drop-in opens devices, so it must show
+    assert alone < exposure(tmp_path, "serial.conf") <= 1.5
+    assert alone < exposure(tmp_path, "gphoto2.conf") <= 2.0
+    assert alone < exposure(tmp_path, "gphoto2.conf", "serial.conf") <= 2.0

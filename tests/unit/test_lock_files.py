@@ -12,7 +12,8 @@ from packaging.utils import canonicalize_name
 from tests.repository import ROOT
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-SHIPPED = [*PROJECT["project"]["dependencies"], *PROJECT["project"]["optional-dependencies"]["service"]]
+EXTRAS = PROJECT["project"]["optional-dependencies"]
+SHIPPED = [*PROJECT["project"]["dependencies"], *EXTRAS["service"], *EXTRAS["gphoto2"]]
 BACKEND = PROJECT["build-system"]["requires"]
 HASH = re.compile(r"--hash=sha256:[0-9a-f]{64}")
 
