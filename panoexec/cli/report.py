@@ -5,6 +5,9 @@ every attempt, retakes with their reasons, a time breakdown, the battery, and th
 `panoexec stitch`, otherwise a preview rendered from the photos and their measured attitudes. Every mission writes the
 report at its end. Run this command after stitching.
 
+With --embed, copies of the photos are written that carry attitude and position inside as XMP, for programs that read no
+sidecars (OpenDroneMap); their picture data are not touched.
+
 Exit code 1: the mission has no accepted photo, or photos are missing or damaged. The page is written nevertheless.
 
 Example:
@@ -17,8 +20,11 @@ import argparse
 from pathlib import Path
 
 from panoexec.cli.output import note, print_json
+from panoexec.exports import export_set
+from panoexec.exports.odm import write_embedded
 from panoexec.report import Report, write_report
-from panoexec.store.directory import existing_mission_directory
+from panoexec.store.directory import MissionDirectory, existing_mission_directory
+from panoexec.store.rebuilding import current_manifest
 
 _SHOWN = 8
 
@@ -26,6 +32,7 @@ _SHOWN = 8
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
     parser.add_argument("mission", type=Path, metavar="MISSION_DIR", help="mission directory")
+    parser.add_argument("--embed", type=Path, metavar="DIR", help="write copies of the photos with XMP inside to DIR")
     parser.add_argument(
         "--json", action="store_true", help="print the path of the page and the problems as one JSON document on stdout"
     )
@@ -36,6 +43,7 @@ def run(args: argparse.Namespace) -> int:
     directory = existing_mission_directory(args.mission)
     report = write_report(directory)
     _explain(report)
+    failed = _embed(directory, args.embed) if args.embed is not None else False
     if args.json:
         print_json(
             {
@@ -48,7 +56,17 @@ def run(args: argparse.Namespace) -> int:
         )
     else:
         print(report.path)
-    return 1 if report.problems or not report.photos else 0
+    return 1 if report.problems or not report.photos or failed else 0
+
+
+def _embed(directory: MissionDirectory, target: Path) -> bool:
+    """Write copies with XMP inside; returns whether some could not be written."""
+    exports = export_set(current_manifest(directory), directory.path)
+    written, problems = write_embedded(exports, directory.path, target)
+    note(f"{len(written)} photos with XMP inside: {target}")
+    for name, reason in list(problems.items())[:_SHOWN]:
+        note(f"{name}: not embedded: {reason}")
+    return bool(problems)
 
 
 def _explain(report: Report) -> None:

@@ -10,6 +10,7 @@ from panoexec.errors import UsageError
 from panoexec.exports.from_manifest import export_set
 from panoexec.exports.hugin import hugin_text
 from panoexec.exports.model import PLACEHOLDER, ExportSet, ExportShot, from_plan, local_name
+from panoexec.exports.odm import geo_text
 from panoexec.exports.papywizard import papywizard_text
 from panoexec.exports.qgc_plan import qgc_text
 from panoexec.exports.shots_csv import csv_text
@@ -67,8 +68,8 @@ def export_plan(format_name: str, plan: Plan, path: Path) -> None:
 def write_exports(exports: ExportSet, folder: Path) -> list[Path]:
     """Write a mission's exports into its directory.
 
-    `panorama.pto`, `papywizard.xml`, `shots.csv`, `panorama.xmp` (GPano values for the stitched file) and one sidecar
-    per image. Without images only the table is written.
+    `panorama.pto`, `papywizard.xml`, `shots.csv`, `panorama.xmp` (GPano values for the stitched file), `geo.txt` (where
+    positions are known) and one sidecar per image. Without images only the table is written.
 
     Args:
         exports: accepted photos with their measured attitudes, in the order taken.
@@ -85,6 +86,8 @@ def write_exports(exports: ExportSet, folder: Path) -> list[Path]:
         texts["panorama.pto"] = hugin_text(exports)
         texts["papywizard.xml"] = papywizard_text(exports)
         texts["panorama.xmp"] = gpano_text(exports)
+        if geo := geo_text(exports):
+            texts["geo.txt"] = geo
     for name, text in texts.items():
         write_atomically(folder / name, text)
     return [folder / name for name in texts] + write_sidecars(exports, folder)

@@ -12,6 +12,7 @@ import asyncio
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping
+from collections.abc import Set as AbstractSet
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,11 +61,13 @@ class PictureSource:
         folder: the mission directory.
         open: starts an examination for a camera.
         refused: files that were not stored, by shot and attempt, with the reason.
+        coming: shots and attempts whose file is still being brought.
     """
 
     folder: Path
     open: Callable[[Camera], AbstractAsyncContextManager[PictureChecker]]
     refused: Callable[[], Mapping[tuple[int, int], str]] = dict
+    coming: Callable[[], AbstractSet[tuple[int, int]]] = frozenset
 
 
 class ContentCheck:
@@ -200,7 +203,9 @@ class ContentCheck:
         attempt = record.accepted
         if attempt is None or self._attempt_of.get(record.shot.index) == attempt.number:
             return False
-        return bool(attempt.stored or (attempt.photos and attempt.photos[0].file))
+        assert self._source is not None
+        coming = (record.shot.index, attempt.number) in self._source.coming()
+        return coming or bool(attempt.stored) or self._local(attempt) is not None
 
     # --- verdicts
 

@@ -234,6 +234,9 @@ class MissionSession:
                     folder=stored.directory.path,
                     open=PictureProcess.running,
                     refused=lambda: collectors[0].refused() if collectors else {},
+                    coming=lambda: (
+                        {(one.shot, one.attempt) for one in collectors[0].remaining} if collectors else set()
+                    ),
                 ),
             )
             writer = ManifestWriter(

@@ -251,6 +251,7 @@ def test_a_mission_directory_gets_all_files_and_sidecars_beside_the_photos(tmp_p
     written = write_exports(made, tmp_path)
     names = sorted(str(path.relative_to(tmp_path)) for path in written)
     assert names == [
+        "geo.txt",
         "images/DJI_0001.xmp",
         "panorama.pto",
         "panorama.xmp",
