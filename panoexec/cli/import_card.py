@@ -2,8 +2,9 @@
 
 For cameras that keep their files. The photos are paired with the attempts of the mission's journal by their EXIF times:
 one offset between the camera's clock and that of the computer on board explains all of them, however wrong the camera's
-clock was. Photos that belong to no attempt stay where they are; RAW files come along with their JPEGs. If two pairings
-are nearly as good, nothing is changed. Manifest, exports and report are then written anew.
+clock was. Where photos overlap, their content confirms it. Photos that belong to no attempt stay where they are; RAW
+files come along with their JPEGs. If two pairings are nearly as good, nothing is changed. Manifest, exports and report
+are then written anew.
 
 Exit code 0: every accepted shot has its photo. 1: photos are missing, or could not be stored. 2: the pairing is
 ambiguous or contradicted, or the card or the mission cannot be read; then nothing was changed.
@@ -69,6 +70,7 @@ def _document(plan: CardImport, stored: int, troubles: list[str]) -> dict[str, o
         "clock_offset_s": round(found.offset_s, 3),
         "rms_s": round(found.rms_s, 3),
         "margin": None if found.margin == float("inf") else round(found.margin, 2),
+        "content": plan.content,
         "stored": stored,
         "pairs": [
             {
@@ -118,6 +120,7 @@ def _explain(plan: CardImport, stored: int, troubles: list[str], *, dry: bool, q
     print(
         f"the camera's clock is {_signed(found.offset_s)} from this computer's (within {found.rms_s:.2f} s; {margin})"
     )
+    print(plan.content)
     print("nothing was changed" if dry else f"{stored} photos stored in {plan.directory.images}")
 
 

@@ -8,19 +8,30 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Literal, Protocol, TypeAlias
 
 from panoexec.errors import PanoexecError, UsageError
 from panoexec.importing.card import Card, CardPhoto, read_card
+from panoexec.importing.content import contradictions
 from panoexec.importing.expected import expected_photos
 from panoexec.importing.pairing import MARGIN, Expected, Pairing, pair
+from panoexec.mission.log.record import MissionRecord
+from panoexec.planning.model import Plan
 from panoexec.store.directory import MissionDirectory, mission_directories
 from panoexec.store.journal import JournalFileError
 from panoexec.store.landed_mission import LandedMission
 
 How: TypeAlias = Literal["copy", "link", "move"]
-Confirm: TypeAlias = Callable[[Sequence[tuple[Expected, CardPhoto]]], Sequence[str]]
-"""Compares the content of paired photos where they overlap; returns what contradicts the pairing, a line each."""
+
+
+class Confirm(Protocol):
+    """Compares the content of paired photos where they overlap."""
+
+    def __call__(
+        self, pairs: Sequence[tuple[Expected, CardPhoto]], *, record: MissionRecord, plan: Plan
+    ) -> tuple[Sequence[str], str]:
+        """What contradicts the pairing, a line each; and what is known of the content, in words."""
+        ...
 
 
 class ContradictedCardError(UsageError):
@@ -37,6 +48,7 @@ class CardImport:
         pairing: the photos of the mission; only certain ones are made.
         missing: accepted photos that are neither on the card nor stored.
         strangers: photos that belong to no attempt of this mission.
+        content: what is known of the photos' content, in words.
     """
 
     directory: MissionDirectory
@@ -44,6 +56,7 @@ class CardImport:
     pairing: Pairing
     missing: tuple[Expected, ...]
     strangers: tuple[CardPhoto, ...]
+    content: str = ""
 
     @property
     def rejected(self) -> int:
@@ -51,7 +64,7 @@ class CardImport:
         return sum(1 for expected, _ in self.pairing.of_mission if not expected.accepted)
 
 
-def plan_import(directory: MissionDirectory, folder: Path, *, confirm: Confirm | None = None) -> CardImport:
+def plan_import(directory: MissionDirectory, folder: Path, *, confirm: Confirm = contradictions) -> CardImport:
     """Pair the photos of a card with the attempts of a mission; blocks, and changes nothing.
 
     Args:
@@ -71,12 +84,13 @@ def plan_import(directory: MissionDirectory, folder: Path, *, confirm: Confirm |
     card = read_card(folder)
     found = pair(sorted([*own, *_others(directory)], key=lambda one: one.time_s), card.photos)
     if found is None:
-        problems = f"; {card.problems[0][0].name} {card.problems[0][1]}" if card.problems else ""
-        raise ContradictedCardError(f"{folder}: no photo fits an attempt of {directory.mission_id}{problems}")
+        why = f"; {card.problems[0][0].name} {card.problems[0][1]}" if card.problems else ""
+        raise ContradictedCardError(f"{folder}: no photo fits an attempt of {directory.mission_id}{why}")
     if not found.is_certain:
         raise ContradictedCardError(f"{folder}: {_doubt(found)}; nothing was imported")
-    for problem in confirm(found.of_mission) if confirm is not None else ():
-        raise ContradictedCardError(f"{folder}: {problem}; nothing was imported")
+    problems, content = confirm(found.of_mission, record=landed.record, plan=landed.plan)
+    if problems:
+        raise ContradictedCardError(f"{folder}: {'; '.join(problems)}; nothing was imported")
     paired = {(item.shot, item.attempt, item.photo) for item, _ in found.of_mission}
     stored = {(event.shot, event.attempt, event.photo) for event in landed.stored()}
     mine = {photo.path for _, photo in found.of_mission}
@@ -86,6 +100,7 @@ def plan_import(directory: MissionDirectory, folder: Path, *, confirm: Confirm |
         pairing=found,
         missing=tuple(one for one in own if one.accepted and (one.shot, one.attempt, one.photo) not in paired | stored),
         strangers=tuple(photo for photo in card.photos if photo.path not in mine),
+        content=content,
     )
 
 

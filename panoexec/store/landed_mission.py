@@ -16,6 +16,7 @@ from panoexec.errors import MissionError, UsageError
 from panoexec.inputs.plan_file import plan_from_data
 from panoexec.mission.log.events import Event, PhotoStored
 from panoexec.mission.log.record import MissionRecord
+from panoexec.planning.model import Plan
 from panoexec.store.directory import MissionDirectory
 from panoexec.store.journal import DamagedJournalError, JournalFileError, SqliteJournal, load_journal
 from panoexec.store.journal_layout import JournalContents
@@ -27,12 +28,14 @@ class LandedMission:
 
     Attributes:
         directory: of the mission.
+        plan: at its start.
         record: with the events that are queued, too.
         photos: stores photos; their events are queued until `flush`.
     """
 
-    def __init__(self, directory: MissionDirectory, record: MissionRecord) -> None:
+    def __init__(self, directory: MissionDirectory, plan: Plan, record: MissionRecord) -> None:
         self.directory = directory
+        self.plan = plan
         self.record = record
         self.photos = PhotoStore(directory.path, record=record, emit=self._emit)
         self._queue: list[Event] = []
@@ -45,7 +48,10 @@ class LandedMission:
         Raises:
             JournalFileError: it is missing, in use, or damaged.
         """
-        return cls(directory, record_of(directory, load_journal(directory.journal)))
+        contents = load_journal(directory.journal)
+        record = record_of(directory, contents)
+        plan = plan_from_data(json.loads(contents.head["plan"]), source=f"{directory.journal} (plan)").plan()
+        return cls(directory, plan, record)
 
     def stored(self) -> Sequence[PhotoStored]:
         """All stored files."""

@@ -18,6 +18,7 @@ import PIL.Image
 from panoexec.devices import EvidenceLevel
 from panoexec.inputs.plan_file import plan_to_data
 from panoexec.mission.log import events as ev
+from panoexec.mission.log.record import planned_pose
 from panoexec.mission.log.states import MissionState
 from panoexec.store.directory import MissionDirectory, new_mission_directory
 from panoexec.store.journal import SqliteJournal
@@ -48,13 +49,15 @@ def take(count: int, *, seed: int, begin_s: float = BEGIN, every_s: tuple[float,
     return out
 
 
-def a_mission(storage: Path, taken: Sequence[Taken]) -> MissionDirectory:
+def a_mission(
+    storage: Path, taken: Sequence[Taken], *, measured: bool = False, pitch_deg: float = -20.0
+) -> MissionDirectory:
     """A finished mission whose camera told nothing but that it was triggered."""
-    return asyncio.run(_written(storage, taken))
+    return asyncio.run(_written(storage, taken, measured, pitch_deg))
 
 
-async def _written(storage: Path, taken: Sequence[Taken]) -> MissionDirectory:
-    plan = a_plan(1 + max(one.shot for one in taken))
+async def _written(storage: Path, taken: Sequence[Taken], measured: bool, pitch_deg: float) -> MissionDirectory:
+    plan = a_plan(1 + max(one.shot for one in taken), pitch_deg=pitch_deg)
     directory = new_mission_directory(storage, now_utc_s=taken[0].time_s - 5)
     head = {MISSION_ID: directory.mission_id, "plan": json.dumps(plan_to_data(plan)), "settings": "{}", "extra": "{}"}
     events: list[ev.Event] = []
@@ -77,7 +80,8 @@ async def _written(storage: Path, taken: Sequence[Taken]) -> MissionDirectory:
         )
         photo = ev.Photo(number=1, evidence=EvidenceLevel.COMMANDED, capture_time_utc_s=one.time_s)
         exposed = ev.ShotExposed(
-            **who, photos=(photo,), pointing_ok=one.accepted, reason="", samples=9, measured=None, errors=None,
+            **who, photos=(photo,), pointing_ok=one.accepted, reason="", samples=9, errors=None,
+            measured=planned_pose(shot) if measured else None,
             slew_settle_s=1.0, trigger_delay_s=0.01,
         )  # fmt: skip
         add(exposed, MissionState.CAPTURING, one.time_s + 0.1)

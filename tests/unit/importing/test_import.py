@@ -134,10 +134,8 @@ def test_what_the_content_contradicts_is_refused(tmp_path: Path) -> None:
     taken, card = take(12, seed=1), tmp_path / "card"
     directory = a_mission(tmp_path, taken)
     _fill(card, taken, off_s=0.0)
-    with pytest.raises(ContradictedCardError, match="does not show what its neighbours show"):
-        plan_import(
-            directory, card, confirm=lambda pairs: [f"{pairs[3][1].path.name} does not show what its neighbours show"]
-        )
+    with pytest.raises(ContradictedCardError, match="shows something else"):
+        plan_import(directory, card, confirm=lambda pairs, **_: ([f"{pairs[3][1].path} shows something else"], ""))
 
 
 def test_a_stranger_in_the_same_second_is_not_taken_for_the_photo(tmp_path: Path) -> None:
