@@ -12,6 +12,7 @@ import importlib.util
 import math
 import tempfile
 import time
+from collections.abc import Awaitable, Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,8 +24,8 @@ import structlog
 from panoexec.adapters.camera.camera_kind import CameraKind, OpenCamera
 from panoexec.adapters.camera.capture import Capture, Report, Source
 from panoexec.adapters.camera.tethered.child import CallFailedError, CameraProcess
-from panoexec.adapters.camera.tethered.errors import explained
 from panoexec.adapters.camera.tethered.files import PhotoFiles
+from panoexec.adapters.camera.tethered.holder import CameraHolder
 from panoexec.adapters.camera.tethered.locked_settings import LockedSettings
 from panoexec.adapters.camera.tethered.patience import Patience
 from panoexec.adapters.camera.tethered.photos import SCHEME, Photo, PhotoBook
@@ -35,13 +36,8 @@ from panoexec.errors import DependencyError, DeviceError, LinkError, PhotoFileEr
 from panoexec.formats.photo_settings import PhotoExif, read_settings
 from panoexec.inputs.config import CameraSection, LockSection
 
-_AGAIN_S: Final = (0.2, 0.5, 1.0, 2.0)
-"""Pauses before the camera is opened anew; the last one repeats."""
-_SILENT_S: Final = 6.0
-"""A process that says nothing for so long hangs."""
 METER_S: Final = 15.0
 """How long the photo by which the exposure is metered may take."""
-_WATCH_S: Final = 1.0
 _LISTED_S: Final = 1.0
 """How long a listing usually takes."""
 
@@ -86,19 +82,21 @@ class TetheredCamera:
         """
         self._patience = patience or Patience()
         self._clock = clock
-        self._port, self._model = port, model
+        self._holder = CameraHolder(
+            port,
+            model,
+            patience=self._patience,
+            on_event=self._told,
+            on_opened=self._was_opened,
+            prepare=self._prepared,
+        )
+        self.settings = LockedSettings(lock or LockSection(), call=self._holder.call)
         self._wanted_spool = spool
-        self.settings = LockedSettings(lock or LockSection(), call=self._call)
         self._spool = Path()
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self.book = PhotoBook(self._patience.late_s)
-        self._process: CameraProcess | None = None
-        self._opened = asyncio.Event()
-        self._about: dict[str, Any] = {}
-        self._problem = "it was not looked for yet"
         self._storage: list[dict[str, Any]] = []
         self._heard_s = -math.inf
-        self._ever = False
         self._numbers = 0
         self._triggering = asyncio.Lock()
         self._listing = asyncio.Lock()
@@ -106,8 +104,6 @@ class TetheredCamera:
         self._files: PhotoFiles | None = None
         self._awaiting: asyncio.Task[None] | None = None
         self._news = asyncio.Event()
-        self.restarts = 0
-        """How often the camera had to be opened anew."""
 
     # --- life
 
@@ -129,10 +125,10 @@ class TetheredCamera:
                 self._spool = self._wanted_spool
         except OSError as error:
             raise DeviceError(f"{self._wanted_spool}: no folder for the camera's files ({error.strerror})") from error
-        self._files = PhotoFiles(self._spool, clock=self._clock, call=self._call, opened=self._opened)
+        self._files = PhotoFiles(self._spool, clock=self._clock, call=self._holder.call, opened=self._holder.opened)
         self._files.clear()
         self._tasks = [
-            asyncio.create_task(self._keep(), name="tethered camera"),
+            asyncio.create_task(self._holder.run(), name="tethered camera"),
             asyncio.create_task(self._files.run(), name="files of the tethered camera"),
         ]
         return self
@@ -145,70 +141,24 @@ class TetheredCamera:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-        if self._process is not None:
-            await self._process.stop()
+        await self._holder.close()
         self.files.clear()
         if self._temporary is not None:
             self._temporary.cleanup()
 
-    async def _keep(self) -> None:
-        """Hold the camera, and open it anew when it is gone."""
-        failures = 0
-        while True:
-            process = self._process = CameraProcess(self._told)
-            try:
-                await process.start()
-                # an opening takes real time; nothing waits for it on the mission's clock
-                about = await process.call("open", self._patience.open_s, port=self._port, model=self._model)
-                await self.settings.again(process.call)  # a camera that was switched off may have forgotten them
-                self._note_opened(about)
-                failures = 0
-                await self._watch(process)
-                why = process.why_gone
-            except CallFailedError as error:
-                why = explained(error.kind, str(error), port=self._port, model=self._model, code=error.code)
-            except DeviceError as error:
-                why = str(error)
-            was_open = self._opened.is_set()
-            self._opened.clear()
-            if why != self._problem or was_open:
-                _log.warning("camera not ready", reason=why)
-            self._problem = why
-            await process.stop()
-            await asyncio.sleep(_AGAIN_S[min(failures, len(_AGAIN_S) - 1)])
-            failures += 1
+    async def _prepared(self, call: Callable[..., Awaitable[Any]]) -> None:
+        """Make the settings again: a camera that was switched off may have forgotten them."""
+        await self.settings.again(call)
 
-    def _note_opened(self, about: dict[str, Any]) -> None:
+    def _was_opened(self, files: list[tuple[str, str]], storage: list[dict[str, Any]], again: bool) -> None:
         now_s = self._clock.monotonic()
-        self._about = {key: about[key] for key in ("model", "port", "serial", "library")}
-        self._storage = about["storage"]
+        self._storage = storage
         self._heard_s = time.monotonic()
-        files = [(folder, name) for folder, name in about["files"]]
-        if self._ever:
-            self.restarts += 1
+        if again:
             self.book.postpone(now_s + self._patience.late_s)
             self._matched(self.book.seen(files, now_s), now_s)
         else:
             self.book.baseline(files)
-        self._ever = True
-        _log.info("camera opened", **self._about, photos=self.book.count, again=self.restarts)
-        self._opened.set()
-
-    async def _watch(self, process: CameraProcess) -> None:
-        """Return when the process is gone; kills it when it says nothing any more."""
-        while not process.gone.is_set():
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(_WATCH_S):
-                    await process.gone.wait()
-            silent_s = time.monotonic() - process.heard_s
-            if not (process.gone.is_set() or process.is_asked) and silent_s > _SILENT_S:
-                process.kill("the camera does not answer any more")
-
-    async def _call(self, do: str, timeout_s: float, **fields: object) -> Any:
-        """Ask the process of the camera; see `CameraProcess.call`."""
-        if self._process is None or not self._opened.is_set():
-            raise LinkError(f"the camera is not there: {self._problem}")
-        return await self._process.call(do, timeout_s, **fields)
 
     # --- what a mission needs to know of it
 
@@ -221,12 +171,17 @@ class TetheredCamera:
     @property
     def problem(self) -> str:
         """Why the camera cannot be used now; "" if it can."""
-        return "" if self._opened.is_set() else self._problem
+        return self._holder.problem
+
+    @property
+    def restarts(self) -> int:
+        """How often the camera had to be opened anew."""
+        return max(0, self._holder.restarts)
 
     @property
     def process_id(self) -> int:
         """Of the process that holds the camera; 0 without one."""
-        return 0 if self._process is None else self._process.pid
+        return self._holder.process_id
 
     @property
     def storage_free_images(self) -> float:
@@ -243,7 +198,7 @@ class TetheredCamera:
     @property
     def is_present(self) -> bool:
         """See `OpenCamera.is_present`."""
-        return self._opened.is_set()
+        return self._holder.opened.is_set()
 
     @property
     def age_s(self) -> float:
@@ -273,7 +228,7 @@ class TetheredCamera:
     @property
     def image_count(self) -> int:
         """See `PhotoRecall.image_count`."""
-        return self.book.count if self._opened.is_set() and not self.book.waiting else -1
+        return self.book.count if self._holder.opened.is_set() and not self.book.waiting else -1
 
     async def recall(self) -> RecalledPhotos:
         """See `PhotoRecall.recall`: the camera cannot tell when its photos were taken, but how many it has.
@@ -293,10 +248,10 @@ class TetheredCamera:
         """
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(timeout_s):
-                await self._opened.wait()
-        if not self._opened.is_set():
-            raise DeviceError(f"no camera within {timeout_s:g} s: {self._problem}")
-        about = self._about
+                await self._holder.opened.wait()
+        if not self._holder.opened.is_set():
+            raise DeviceError(f"no camera within {timeout_s:g} s: {self.problem}")
+        about = self._holder.about
         return TetheredFound(label=f"{about['model']} on {about['port']}", model=about["model"])
 
     async def best_evidence(self) -> EvidenceLevel:
@@ -348,7 +303,7 @@ class TetheredCamera:
         """See `Camera.trigger`; not before it is settled what earlier triggers brought."""
         async with self._triggering:
             await self._settle()
-            process = await self._ready_process()
+            process = await self._holder.ready()
             self._numbers += 1
             capture = Capture(self._numbers, clock=self._clock, poll=self._poll, must_report=True)
             capture.commanded(self._clock.monotonic())
@@ -359,8 +314,7 @@ class TetheredCamera:
                     answer = await process.call("trigger", self._patience.call_s)
             except CallFailedError as error:
                 self.book.refused(capture)
-                text = explained(error.kind, str(error), port=self._port, model=self._model, code=error.code)
-                raise DeviceError(text) from error
+                raise DeviceError(self._holder.explained(error)) from error
             except LinkError as error:
                 return await self._hung(process, capture, str(error))
             except asyncio.CancelledError:
@@ -383,27 +337,12 @@ class TetheredCamera:
                         await self._news.wait()
                 self._news.clear()
 
-    async def _ready_process(self) -> CameraProcess:
-        """The process, once the camera is open.
-
-        Raises:
-            LinkError: it is not opened in time; says why.
-        """
-        if not self._opened.is_set():
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(self._patience.back_s):
-                    await self._opened.wait()
-        if not self._opened.is_set() or self._process is None:
-            raise LinkError(f"the camera is not there: {self._problem}")
-        return self._process
-
     async def _hung(self, process: CameraProcess, capture: Capture, why: str) -> PendingCapture:
         """A trigger without an answer: whether it took a photo shows what the camera lists once it answers again."""
         _log.warning("trigger without an answer", number=capture.number, reason=why)
-        process.kill(why)
-        self._opened.clear()
+        self._holder.drop(process, why)
         with contextlib.suppress(LinkError):
-            await self._ready_process()
+            await self._holder.ready()
             await self._settle_one(capture)
         if capture.known.level >= EvidenceLevel.CAPTURE_MESSAGE:
             return capture
@@ -414,7 +353,7 @@ class TetheredCamera:
         """Wait until no earlier trigger can still bring a photo."""
         clock, patience = self._clock, self._patience
         while self.book.waiting or self.book.doubt_until_s(clock.monotonic()) > clock.monotonic():
-            await self._ready_process()
+            await self._holder.ready()
             age_s = max((clock.monotonic() - one.commanded_s for one in self.book.waiting), default=0.0)
             if age_s >= patience.missing_s:
                 await self._look()
@@ -446,11 +385,8 @@ class TetheredCamera:
     async def _look(self) -> None:
         """List the camera, and match what is new; an event may have been lost."""
         async with self._listing:
-            process = self._process
-            if process is None or not self._opened.is_set():
-                return
             with work(self._clock), contextlib.suppress(DeviceError):
-                files = await process.call("list", self._patience.list_s)
+                files = await self._holder.call("list", self._patience.list_s)
                 now_s = self._clock.monotonic()
                 self._matched(self.book.seen([(folder, name) for folder, name in files], now_s), now_s)
 
@@ -482,8 +418,8 @@ class TetheredCamera:
         Raises:
             PhotoFileError: the camera is not there, or has no such file.
         """
-        if not self._opened.is_set():
-            raise PhotoFileError(f"the camera is not there: {self._problem}")
+        if not self._holder.opened.is_set():
+            raise PhotoFileError(f"the camera is not there: {self.problem}")
         photo = self.book.find(url)
         if photo is None:
             raise PhotoFileError(f"{url.removeprefix(SCHEME)} is not in the camera", final=True)
