@@ -277,9 +277,13 @@ class Shooter:
         if self.open_loop or not has_window(found):
             return None
         start_s, end_s = window(found, commanded_s, self.settings)
-        if exposure.start_s <= start_s and end_s <= exposure.end_s:
+        judged = exposure.start_s <= start_s and end_s <= exposure.end_s
+        if judged or any(since_s <= start_s and end_s <= until_s for since_s, until_s in exposure.held):
             return None
-        return await self._judged(shot, start_s, end_s)
+        verdict = await self._judged(shot, start_s, end_s)
+        if verdict.ok:
+            exposure.held.add((start_s, end_s))
+        return verdict
 
     def _target(self, shot: Shot) -> Target:
         return Target(pitch_deg=shot.pitch_deg, yaw_deg=shot.yaw_deg, tolerance=self.settings.tolerance)

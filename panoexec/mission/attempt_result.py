@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from panoexec.devices import PendingCapture
 from panoexec.mission.pointing.tolerance_gate import WindowVerdict
@@ -58,6 +58,8 @@ class Exposure:
         failure: why not all photos were taken, "" if they were.
         images_before: how many images the camera counted before; -1 where that was not known.
         broken_off: a pause or an end was requested between two photos of a bracket.
+        held: other intervals in which the pose was held, as the dates of the photos asked; a later look finds the same
+            dates, and the samples of then are not kept for ever.
     """
 
     captures: tuple[PendingCapture, ...]
@@ -69,3 +71,4 @@ class Exposure:
     failure: str = ""
     images_before: int = -1
     broken_off: bool = False
+    held: set[tuple[float, float]] = field(default_factory=set)

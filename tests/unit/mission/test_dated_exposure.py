@@ -13,7 +13,7 @@ from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
 from tests.unit.fakes.checks import check_mission
 from tests.unit.fakes.flying import fly
-from tests.unit.fakes.world import World, some_settings
+from tests.unit.fakes.world import World, a_plan, some_settings
 
 
 def late(world: World, latency_s: float) -> None:
@@ -88,3 +88,15 @@ def test_what_cannot_be_a_lag_is_not_learned() -> None:
         )
         assert lag.note(found, 10.0) == ""
     assert lag.bound_s == 0.1
+
+
+def test_a_date_that_was_judged_once_is_not_judged_again_when_its_samples_are_gone() -> None:
+    """A second look at it a minute later found no samples of then, and the photo was taken again."""
+
+    def slow(world: World) -> None:
+        late(world, 0.15)
+        world.gimbal.rate_hz = 100.0  # as many samples are kept as come in 20 s
+
+    world = fly(prepare=slow, plan=a_plan(12), settings=some_settings(interval_s=4.0))
+    assert world.record.state is MissionState.COMPLETE
+    assert not world.sink.of(ev.ShotRevoked)
