@@ -47,6 +47,14 @@ COMMANDS: dict[str, Command] = {
     "experiment": Command("experiment", "reproduce the paper's simulation: render, stitch, compare", extra="sim"),
     "simulate": Command("simulate", "run only the simulated vehicle, for a ground station or `serve`", extra="sim"),
     "serve": Command("serve", "run the daemon that executes missions on MQTT requests"),
+    "start": Command("operate", "start a mission on a vehicle, over MQTT"),
+    "pause": Command("operate", "hold the mission after the current photo"),
+    "resume": Command("operate", "continue the mission"),
+    "skip": Command("operate", "skip a shot"),
+    "repeat": Command("operate", "take a shot again"),
+    "finish": Command("operate", "end shooting and accept the gaps"),
+    "abort": Command("operate", "end the mission for good"),
+    "status": Command("operate", "say what a vehicle is doing"),
     "send": Command("send", "send a request to a vehicle over MQTT and show the response"),
     "watch": Command("watch", "show live progress of vehicles over MQTT"),
     "doctor": Command("doctor", "check a vehicle before a mission and name the parameters to set"),
@@ -116,7 +124,7 @@ def _dispatch(argv: list[str]) -> int:
     command = COMMANDS.get(name)
     if command is None:
         raise UsageError(_unknown_command(name))
-    module = _load(name, command)
+    module = module_of(name)
     parser = parser_of(name, module)
     _check_options(parser, rest)
     try:
@@ -155,9 +163,16 @@ def parser_of(name: str, module: Any) -> Parser:
     return parser
 
 
-def _load(name: str, command: Command) -> Any:
+def module_of(name: str) -> Any:
+    """What has the arguments and the function of a command: a module, or an object of its `VERBS`.
+
+    Raises:
+        DependencyError: a package that it needs is not installed.
+    """
+    command = COMMANDS[name]
     try:
-        return importlib.import_module(f"panoexec.cli.{command.module}")
+        module = importlib.import_module(f"panoexec.cli.{command.module}")
+        return getattr(module, "VERBS", {name: module})[name]
     except ModuleNotFoundError as error:
         if command.extra and error.name and not error.name.startswith("panoexec"):
             raise DependencyError(

@@ -18,8 +18,8 @@ import os
 from pathlib import Path
 
 from panoexec.cli.findings_view import show_findings
+from panoexec.cli.numbers import positive
 from panoexec.cli.output import note, print_json
-from panoexec.cli.planning_options import positive
 from panoexec.cli.serve import DEFAULT_CONFIG, checked_config
 from panoexec.clock import SystemClock
 from panoexec.doctor.findings import Findings

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from panoexec.cli.numbers import count, positive
 from panoexec.cli.output import minutes, note, percent, print_facts, print_json, print_table
 from panoexec.cli.plan_map import check_plot_path, plot_plan
 from panoexec.cli.planning_options import (
@@ -21,8 +22,6 @@ from panoexec.cli.planning_options import (
     add_constraint_arguments,
     add_gimbal_arguments,
     add_method_arguments,
-    count,
-    positive,
     profile_of,
     spec_of,
 )

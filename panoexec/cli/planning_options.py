@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import math
 from dataclasses import replace
 
+from panoexec.cli.numbers import count, number, positive
 from panoexec.errors import UsageError
 from panoexec.inputs.camera_profiles import CameraProfile, load_profile
 from panoexec.inputs.plan_file import PlanFile
@@ -22,57 +22,6 @@ DEFAULT_TOLERANCE = Tolerance(pitch_deg=0.1, roll_deg=0.1, yaw_deg=0.7)
 
 NOSE_TOLERANCE_DEG = 2.0
 """Of yaw, where the vehicle pans: what ArduCopter's SITL holds in 8 m/s of gusty wind (docs/mission.md)."""
-
-
-def number(text: str) -> float:
-    """A finite number.
-
-    Raises:
-        argparse.ArgumentTypeError: it is none.
-    """
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number{_as_fraction(text)}")
-    return value
-
-
-def _as_fraction(text: str) -> str:
-    if not text.endswith("%"):
-        return ""
-    try:
-        return f": write {float(text[:-1]) / 100:g}"
-    except ValueError:
-        return ""
-
-
-def positive(text: str) -> float:
-    """A finite number above 0.
-
-    Raises:
-        argparse.ArgumentTypeError: it is none.
-    """
-    value = number(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"{text} must be more than 0")
-    return value
-
-
-def count(text: str) -> int:
-    """A whole number of at least 1.
-
-    Raises:
-        argparse.ArgumentTypeError: it is none.
-    """
-    try:
-        value = int(text)
-    except ValueError:
-        value = 0
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 1 or more")
-    return value
 
 
 def add_camera_arguments(parser: argparse.ArgumentParser, *, required: bool) -> None:

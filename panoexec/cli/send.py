@@ -21,21 +21,20 @@ import json
 from pathlib import Path
 from typing import Any
 
+import panoexec.cli.lean  # noqa: F401  (must be imported first)
 from panoexec.cli.broker_options import add_broker_arguments, broker_of
-from panoexec.cli.output import note, print_facts, print_json
-from panoexec.cli.planning_options import positive
+from panoexec.cli.numbers import positive
+from panoexec.cli.output import print_facts, print_json
+from panoexec.cli.requesting import ask, exit_code, plan_document, report_error
 from panoexec.errors import UsageError
-from panoexec.inputs.config import MqttSection
-from panoexec.mqtt.ground_station import GroundStation
-from panoexec.mqtt.requests import REQUESTS, DoctorRequest
+from panoexec.mqtt.topics import COMMANDS
 
 INTERMIXED = True
-_WRONG = frozenset({"too_large", "not_json", "unknown_command", "invalid", "conflict", "planning", "planning_budget"})
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
-    parser.add_argument("command", metavar="COMMAND", help=", ".join(REQUESTS))
+    parser.add_argument("command", metavar="COMMAND", help=", ".join(COMMANDS))
     # without a default, parse_intermixed_args reports the argument as required
     parser.add_argument("fields", nargs="*", default=[], metavar="KEY=VALUE", help="request fields")
     parser.add_argument("--plan", type=Path, metavar="PLAN.json", help="plan file, for `plan` and `start`")
@@ -46,40 +45,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Send the request and print the response."""
-    if args.command not in REQUESTS:
-        near = difflib.get_close_matches(args.command, REQUESTS, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"commands are {', '.join(REQUESTS)}"
+    if args.command not in COMMANDS:
+        near = difflib.get_close_matches(args.command, COMMANDS, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"commands are {', '.join(COMMANDS)}"
         raise UsageError(f"unknown command {args.command!r}: {hint}")
     fields = _fields(args.fields)
     if args.plan is not None:
-        try:
-            fields["plan"] = json.loads(args.plan.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise UsageError(f"--plan {args.plan}: cannot be read: {error.strerror or error}") from error
-        except ValueError as error:
-            raise UsageError(f"--plan {args.plan}: is not valid JSON: {error}") from error
+        fields["plan"] = plan_document(args.plan)
     section, vehicle = broker_of(args)
-    answer = asyncio.run(_ask(section, vehicle, args.command, fields, args.timeout))
+    answer = asyncio.run(ask(section, vehicle, args.command, fields, args.timeout))
     if args.json:
         print_json(answer)
     elif answer["status"] == "ok":
         data = answer.get("data") or {}
-        if args.command == DoctorRequest.command:
+        if args.command == "doctor":
             _show_findings(data)
             return 0
         print_facts([("ok", args.command), *((name, _short(value)) for name, value in data.items())])
     else:
-        why = answer["error"]
-        where = f" ({why['field']})" if why.get("field") else ""
-        note(f"panoexec: {vehicle} rejected {args.command}: {why['code']}{where}: {why['message']}")
-    return _exit_code(answer)
-
-
-async def _ask(
-    section: MqttSection, vehicle: str, command: str, fields: dict[str, Any], timeout_s: float
-) -> dict[str, Any]:
-    async with GroundStation(section) as ground:
-        return await ground.request(vehicle, command, fields, timeout_s=timeout_s)
+        report_error(answer, vehicle, args.command)
+    return exit_code(answer)
 
 
 def _show_findings(document: dict[str, Any]) -> None:
@@ -87,12 +72,6 @@ def _show_findings(document: dict[str, Any]) -> None:
     from panoexec.doctor.running_daemon import findings_of  # noqa: PLC0415
 
     show_findings(findings_of(document))
-
-
-def _exit_code(answer: dict[str, Any]) -> int:
-    if answer["status"] == "ok":
-        return 0
-    return 2 if answer["error"]["code"] in _WRONG else 1
 
 
 def _fields(texts: list[str]) -> dict[str, Any]:

@@ -18,8 +18,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import panoexec.cli.lean  # noqa: F401  (must be imported first)
+from panoexec.cli.numbers import positive
 from panoexec.cli.one_heap import use_one_heap
-from panoexec.cli.planning_options import positive
 from panoexec.clock import SystemClock
 from panoexec.daemon.daemon import Daemon
 from panoexec.daemon.mission_request import configuration_problems

@@ -19,8 +19,8 @@ from contextlib import aclosing
 from rich.live import Live
 
 from panoexec.cli.broker_options import add_broker_arguments, broker_of
+from panoexec.cli.numbers import positive
 from panoexec.cli.output import console, has_colours, note, print_json
-from panoexec.cli.planning_options import positive
 from panoexec.cli.watch_view import ENDED, Watched, fleet_view, mission_view
 from panoexec.errors import LinkError
 from panoexec.inputs.config import MqttSection

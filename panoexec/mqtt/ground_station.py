@@ -23,6 +23,8 @@ from panoexec.mqtt.client import BrokerClient, broker_client
 
 Kind: TypeAlias = Literal["status", "state", "plan", "event"]
 
+_STATUS_S: Final = 0.3
+"""How long to wait for a retained status; a broker sends it with the acknowledgement of the subscription."""
 _KINDS: Final[dict[str, Kind]] = {"status": "status", "state": "state", "plan": "plan", "event": "event"}
 
 
@@ -84,25 +86,44 @@ class GroundStation:
             expiry_s: message expiry (MQTT 5); default: the timeout, rounded up.
 
         Raises:
-            LinkError: no response within the timeout, or the connection to the broker was lost.
+            LinkError: the vehicle is offline, so that nothing was sent; no response within the timeout, or the
+                connection to the broker was lost.
         """
         assert self._client is not None
         base = f"{self._settings.prefix}/{vehicle}"
         fields = {"transaction": uuid.uuid4().hex} | fields
+        status = None
         try:
             async with asyncio.timeout(timeout_s):
                 await self._client.subscribe(f"{base}/response/{command}", qos=1)
+                status = await self._status(f"{base}/status", min(_STATUS_S, timeout_s / 3))
+                if status == "offline":
+                    raise LinkError(f"{vehicle} is offline: its daemon is not connected to this broker")
                 await self._publish(f"{base}/request/{command}", fields, expiry_s or max(1, math.ceil(timeout_s)))
                 async for message in self._client.messages:
+                    if str(message.topic) == f"{base}/status" and message.payload == b"offline":
+                        raise LinkError(f"{vehicle} went offline before it responded to {command}")
                     answer = _json(message.payload)
                     if isinstance(answer, dict) and answer.get("transaction") == fields["transaction"]:
                         return answer
         except TimeoutError as error:
-            raise LinkError(
-                f"{vehicle} did not respond to {command} within {timeout_s:g} s: check its status (panoexec watch)"
-            ) from error
+            unknown = "no vehicle of this id has been connected to this broker" if status is None else "it is online"
+            raise LinkError(f"{vehicle} did not respond to {command} within {timeout_s:g} s: {unknown}") from error
         except aiomqtt.MqttError as error:
             raise LinkError(f"connection to the broker lost: {error}") from error
+        raise AssertionError("the messages never end")
+
+    async def _status(self, topic: str, wait_s: float) -> str | None:
+        """The retained status of a vehicle; None if the broker has none, or does not let us read it."""
+        assert self._client is not None
+        try:
+            await self._client.subscribe(topic, qos=1)
+            async with asyncio.timeout(wait_s):
+                async for message in self._client.messages:
+                    if str(message.topic) == topic and isinstance(message.payload, bytes):
+                        return message.payload.decode(errors="replace")
+        except (TimeoutError, aiomqtt.MqttCodeError):
+            return None
         raise AssertionError("the messages never end")
 
     async def _publish(self, topic: str, fields: dict[str, Any], expiry_s: int = 10) -> None:

@@ -4,6 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
+COMMANDS: Final = (
+    *("plan", "start", "pause", "resume", "abort", "finish", "skip", "repeat"),
+    *("get", "doctor", "missions", "set_profile"),
+)
+"""The commands; `panoexec.mqtt.requests.REQUESTS` has the model of each."""
+
 _LONGEST: Final = 512
 _DEEPEST: Final = 32
 """Maximum number of levels; mosquitto closes the connection at more than 200."""

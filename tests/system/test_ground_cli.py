@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import io
 import json
+import re
 import signal
 import sys
 from collections.abc import AsyncIterator
@@ -73,12 +74,46 @@ async def sends(broker: Broker) -> None:
     code, out, _ = await outcome("send", *where, "get")
     assert code == 0
     assert "idle" in out
+    code, out, err = await outcome("status", *where)
+    assert code == 0, err
+    assert out.startswith("drone: idle")
+    assert "link: autopilot, gimbal and camera answer" in out
     code, out, err = await outcome("send", "pause", *where)
     assert (code, out) == (1, "")
     assert "drone rejected pause: refused: cannot pause: no mission is under way" in err
     code, _, err = await outcome("send", "plan", "overlap=2", *where)
     assert code == 2
     assert "invalid (overlap)" in err
+
+
+async def operates(broker: Broker) -> None:
+    """The operator's verbs from the start of a mission to its end."""
+    where = ("--port", broker.port)
+    row = ("--elevation", -30, 0, "--azimuth", 0, 120, "--method", "paper", "--tolerance-yaw", 1)
+    code, out, err = await outcome("start", *row, "--name", "quarry", *where)
+    assert code == 0, err
+    assert re.match(r"drone: mission \S+ begins: \d+ images in \d+ rows?, about \d+ s; (not )?certified", out)
+    code, out, err = await outcome("pause", "rain", *where)
+    assert code == 0, err
+    assert re.match(r"drone: mission \S+ pauses \(it is \w+\)\n", out)
+    code, out, _ = await outcome("status", *where)
+    assert code == 0
+    assert re.search(r'mission \S+ "quarry": \d+ of \d+ shots done', out)
+    code, out, err = await outcome("skip", *where, "--json")
+    assert code == 0, err
+    assert isinstance(json.loads(out)["data"]["shot"], int)
+    code, out, err = await outcome("skip", "999", *where)
+    assert (code, out) == (1, "")
+    assert "drone rejected skip" in err
+    code, out, err = await outcome("resume", *where)
+    assert code == 0, err
+    assert "goes on" in out
+    code, out, err = await outcome("abort", *where)
+    assert code == 0, err
+    assert "is aborted" in out
+    code, out, err = await outcome("skip", "-1", *where)
+    assert (code, out) == (2, "")
+    assert "unknown option -1" in err or "not a whole number" in err
 
 
 async def test_send_and_watch_from_the_first_answer_to_the_last_event(tmp_path: Path) -> None:
@@ -108,6 +143,7 @@ async def test_send_and_watch_from_the_first_answer_to_the_last_event(tmp_path: 
                 assert all_seen["kite"]["status"] == "offline"
                 assert all_seen["drone"]["status"] == "online"
                 assert all_seen["drone"]["events"]
+            await operates(broker)
             async with panoexec("watch", "--port", broker.port) as one:
                 await listening(broker, 3)
                 assert (await ground.ask("start", "long", method="paper"))["status"] == "ok"
@@ -131,13 +167,18 @@ async def test_nobody_answers(tmp_path: Path) -> None:
     with running_broker(tmp_path) as broker:
         code, out, err = await outcome("send", "get", "--port", broker.port, "--timeout", "0.3")
         assert (code, out) == (3, "")
-        assert "drone did not respond to get within 0.3 s" in err
+        assert "drone did not respond to get within 0.3 s: no vehicle of this id has been connected" in err
+        async with aiomqtt.Client("127.0.0.1", broker.port) as other:
+            await other.publish("panoexec/owl/status", "offline", qos=1, retain=True)
+        code, out, err = await outcome("start", "--port", broker.port, "--vehicle", "owl")
+        assert (code, out) == (3, "")
+        assert "owl is offline: its daemon is not connected to this broker" in err
         code, _, err = await outcome("watch", "--port", broker.port, "--timeout", "0.5", "--vehicle", "kite")
         assert code == 3
         assert "no message received from kite" in err
-        code, _, err = await outcome("watch", "--all", "--port", broker.port, "--timeout", "0.5")
+        code, _, err = await outcome("watch", "--all", "--port", broker.port, "--timeout", "0.5", "--prefix", "other")
         assert code == 0
-        assert "no message received from any vehicle below panoexec/" in err
+        assert "no message received from any vehicle below other/" in err
 
 
 @pytest.mark.parametrize(

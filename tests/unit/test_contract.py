@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import importlib
 import json
 import re
 from pathlib import Path
@@ -14,7 +13,7 @@ import pytest
 
 import panoexec
 from panoexec import errors
-from panoexec.cli.app import COMMANDS, EXIT_DONE, EXIT_INTERRUPTED, parser_of
+from panoexec.cli.app import COMMANDS, EXIT_DONE, EXIT_INTERRUPTED, module_of, parser_of
 from panoexec.inputs import plan_file
 from panoexec.inputs.config import Config
 from panoexec.mission.log.events import Event
@@ -55,7 +54,7 @@ def between(text: str, start: str, end: str) -> list[str]:
 
 
 def options(verb: str) -> set[str]:
-    parser: argparse.ArgumentParser = parser_of(verb, importlib.import_module(f"panoexec.cli.{COMMANDS[verb].module}"))
+    parser: argparse.ArgumentParser = parser_of(verb, module_of(verb))
     return {option for action in parser._actions for option in action.option_strings}
 
 

@@ -6,7 +6,6 @@ What a command prints is not looked at here; tables of faults, states and number
 from __future__ import annotations
 
 import argparse
-import importlib
 import re
 import shlex
 from collections.abc import Iterator
@@ -15,7 +14,7 @@ from pathlib import Path
 import pytest
 
 import panoexec
-from panoexec.cli.app import COMMANDS, parser_of
+from panoexec.cli.app import COMMANDS, module_of, parser_of
 from panoexec.errors import UsageError
 from panoexec.inputs.config import Config
 from tests.repository import ROOT
@@ -69,7 +68,7 @@ def mentioned(document: Path) -> list[list[str]]:
 
 
 def parser(command: str, *, lenient: bool = False) -> argparse.ArgumentParser:
-    module = importlib.import_module(f"panoexec.cli.{COMMANDS[command].module}")
+    module = module_of(command)
     made = parser_of(command, module)
     if lenient:
         for action in made._actions:
@@ -83,7 +82,7 @@ def parse(words: list[str], *, lenient: bool = False) -> None:
     Raises:
         UsageError: it would be refused.
     """
-    intermixed = getattr(importlib.import_module(f"panoexec.cli.{COMMANDS[words[0]].module}"), "INTERMIXED", False)
+    intermixed = getattr(module_of(words[0]), "INTERMIXED", False)
     made = parser(words[0], lenient=lenient)
     if words[1:] != ["--help"]:
         (made.parse_intermixed_args if intermixed else made.parse_args)(words[1:])
@@ -125,7 +124,7 @@ def test_command_lines_are_accepted(document: Path) -> None:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_examples_of_help_texts_are_accepted(command: str) -> None:
-    text = importlib.import_module(f"panoexec.cli.{COMMANDS[command].module}").__doc__
+    text = module_of(command).__doc__
     assert text is not None
     # what an example does may stand beside it
     for line in re.findall(r"^  (panoexec .*?)(?: {2,}.*)?$", text, re.MULTILINE):

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from panoexec.mqtt.messages import Response, dump, failed
 from panoexec.mqtt.parsing import parse_request
 from panoexec.mqtt.requests import MAX_PAYLOAD, REQUESTS, PlanRequest, RefusedRequestError, SkipRequest
+from panoexec.mqtt.topics import COMMANDS
 
 
 def refused(command: str, payload: bytes | dict[str, Any], **options: Any) -> RefusedRequestError:
@@ -175,3 +176,7 @@ def test_any_bytes_are_a_request_or_an_error_that_can_be_sent(payload: bytes, da
             assert answer.status == "error"
             assert answer.error is not None
             assert answer.error.message
+
+
+def test_the_names_of_the_commands_are_listed_once_for_all() -> None:
+    assert set(REQUESTS) == set(COMMANDS)
