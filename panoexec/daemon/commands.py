@@ -12,12 +12,14 @@ import structlog
 
 from panoexec.daemon.beginnings import Beginning
 from panoexec.daemon.error_codes import refusal_of
+from panoexec.daemon.errors import MissionStorageError
 from panoexec.daemon.mission_request import chosen_profile, settings_of, spec_of
 from panoexec.daemon.missions import Missions
 from panoexec.daemon.planning_desk import PlanningDesk
 from panoexec.daemon.stopping import DECLINED, Stopping
 from panoexec.daemon.thumbnails import Thumbnails
 from panoexec.daemon.vehicle_link import VehicleLink
+from panoexec.errors import MissionError
 from panoexec.inputs.config import Config
 from panoexec.inputs.plan_file import camera_to_data
 from panoexec.mission.executor import Mission
@@ -218,8 +220,15 @@ class Commands:
         return {"shot": shot} | await self._journaled_state(mission)
 
     async def _journaled_state(self, mission: Mission) -> dict[str, Any]:
-        """Wait until the command is in the journal; return mission id and state."""
-        await mission.durable()
+        """Wait until the command is in the journal; return mission id and state.
+
+        Raises:
+            MissionStorageError: the journal cannot be written; the mission ends.
+        """
+        try:
+            await mission.durable()
+        except MissionError as error:
+            raise MissionStorageError(str(error)) from error
         return {"mission_id": mission.record.mission_id, "state": mission.record.state.value}
 
     # --- missions

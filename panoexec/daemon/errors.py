@@ -11,7 +11,7 @@ class MissionBusyError(MissionError):
 
 
 class MissionStorageError(MissionError):
-    """A new mission cannot be stored; nothing was begun."""
+    """A new mission, of which nothing was begun, or a command to one that ends because of it, cannot be stored."""
 
 
 class VehicleNotReadyError(DeviceError):

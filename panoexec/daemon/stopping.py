@@ -17,6 +17,7 @@ import structlog
 from panoexec.daemon.beginnings import Beginning, StopCommand, StopVerb
 from panoexec.daemon.error_codes import refusal_of
 from panoexec.daemon.missions import Missions
+from panoexec.errors import MissionError
 from panoexec.mission.executor import Mission
 from panoexec.mission.log.states import FINISHED, MissionState
 from panoexec.mission.mission_requests import CommandRefusedError
@@ -209,6 +210,8 @@ class Stopping:
                     durable = True
         except TimeoutError:
             _log.warning("the command is not in the journal yet", command=request.command)
+        except MissionError as error:
+            _log.error("the command is not in the journal", command=request.command, error=str(error))
         if mission is None and not done.begins:
             durable = await self._stored(request, received_s)
         elif done.lost and not durable:

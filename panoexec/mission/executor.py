@@ -176,7 +176,11 @@ class Mission:
         return None if recorder.closed else recorder.emit(event)
 
     async def durable(self) -> None:
-        """Return when all events so far are on disk and published."""
+        """Return when all events so far are on disk and published.
+
+        Raises:
+            MissionError: the journal failed.
+        """
         await self._context.recorder.durable()
 
     async def run(self) -> MissionRecord:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 from panoexec.clock import Clock
+from panoexec.errors import MissionError
 from panoexec.mission.log.events import Event, EventSink
 from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.log.states import MissionState
@@ -33,6 +34,8 @@ class Recorder:
         self._progress = asyncio.Event()
         self._work = asyncio.Event()
         self._closing = False
+        self._failure = ""
+        self._failed = asyncio.Event()
 
     def emit(self, event: E, state: MissionState | None = None) -> E:
         """Stamp the event, apply it to the record and queue it for the journal.
@@ -63,10 +66,22 @@ class Recorder:
         return None if self._durable_seq >= seq else self._progress
 
     async def durable(self) -> None:
-        """Return when everything emitted so far is on disk and published."""
+        """Return when everything emitted so far is on disk and published.
+
+        Raises:
+            MissionError: it never will be, as `run` has failed or was cancelled.
+        """
         seq = self.record.seq
         while (blocker := self.blocker(seq)) is not None:
-            await blocker.wait()
+            if self._failed.is_set():
+                raise MissionError(f"not in the mission's journal, which is not written any more: {self._failure}")
+            waits = [asyncio.ensure_future(event.wait()) for event in (blocker, self._failed)]
+            try:
+                await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                for one in waits:
+                    one.cancel()
+                await asyncio.gather(*waits, return_exceptions=True)
 
     async def run(self) -> None:
         """Write and publish events until closed.
@@ -74,6 +89,14 @@ class Recorder:
         Raises:
             MissionError: the journal cannot be written; the mission must end.
         """
+        try:
+            await self._write()
+        except BaseException as error:
+            self._failure = str(error) or type(error).__name__
+            self._failed.set()
+            raise
+
+    async def _write(self) -> None:
         while True:
             await self._work.wait()
             self._work.clear()

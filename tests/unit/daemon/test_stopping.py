@@ -7,6 +7,7 @@ import threading
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -14,7 +15,9 @@ import pytest
 from panoexec.daemon import planning_desk
 from panoexec.daemon.beginnings import Beginning, StopCommand
 from panoexec.daemon.errors import SupersededError
+from panoexec.errors import MissionError
 from panoexec.inputs.plan_spec import PlanSpec
+from panoexec.mission.log.states import MissionState
 from panoexec.mission.mission_requests import CommandRefusedError
 from panoexec.planning.model import Plan
 from panoexec.store.session import Devices
@@ -177,3 +180,27 @@ async def test_a_resume_is_called_off_by_a_later_pause_and_a_start_keeps_it() ->
     late.stop(StopCommand("interrupt"))
     with pytest.raises(CommandRefusedError, match="panoexec was stopped"):
         late.commit()
+
+
+async def test_no_command_waits_for_a_journal_that_has_failed(tmp_path: Path) -> None:
+    async def fails() -> None:
+        raise MissionError("not in the mission's journal (disk is full)")
+
+    record = SimpleNamespace(mission_id="m", state=MissionState.CAPTURING, asked=SimpleNamespace(end=None))
+    commands = SimpleNamespace(
+        skip=lambda _: 3, repeat=lambda _: 3, resume=lambda: None, pause=lambda _: None, abort=lambda _: None
+    )
+    async with a_desk(tmp_path) as desk:
+        flying: Any = SimpleNamespace(record=record, commands=commands, durable=fails)
+        desk.commands._missions.mission = flying
+        for command in ("skip", "repeat", "resume"):
+            desk.ask(command, command)
+        await desk.heard(3)
+        for command in ("pause", "abort"):
+            desk.ask(command, command)
+        answers = {answer["transaction"]: answer for answer in await desk.heard(5)}
+    for command in ("skip", "repeat", "resume"):
+        assert answers[command]["error"]["code"] == "storage"
+        assert "disk is full" in answers[command]["error"]["message"]
+    for command in ("pause", "abort"):
+        assert answers[command]["data"] == {"mission_id": "m", "state": "capturing", "durable": False}
