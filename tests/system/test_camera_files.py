@@ -99,3 +99,27 @@ async def test_a_mission_ends_complete_with_every_photo_hashed_in_its_directory(
             assert ground.misfits == []
             shots = _check(mission, card, source="http")
             assert len(shots) == ground.state["shots_total"]
+
+
+async def test_what_was_under_way_when_the_daemon_was_killed_is_brought_after_its_restart(tmp_path: Path) -> None:
+    port, card = free_udp_port(), tmp_path / "card"
+    slow = ["camera.files=http", "camera.files_kb_s=4", "camera.render_width_px=160"]
+    simulation = settings.changed(SimConfig(port=port, speedup=_SPEEDUP, output=card), slow)
+    more = '[camera]\nfile_hosts = ["127.0.0.1"]\n[pictures]\nthumbnails = "off"\n'
+    with running_broker(tmp_path) as broker:
+        async with running_simulator(simulation), ground_station(broker) as ground:
+            async with serving(tmp_path, broker, port, more=more, speedup=_SPEEDUP) as process:
+                await ready(ground)
+                start = await ground.ask("start", "s", **SMALL, azimuth_deg=[0, 90])
+                mission = tmp_path / "data" / "missions" / start["data"]["mission_id"]
+                await ground.until(lambda: ground.state["state"] == "complete")
+                await ground.until(lambda: any((mission / ".incoming").glob("*-*-?")))
+                process.kill()
+                await process.wait()
+            assert not _is_whole(mission), "it was killed too late"
+            assert not any(path.suffix not in {".jpg", ""} for path in (mission / "images").glob("*"))
+            async with serving(tmp_path, broker, port, more=more, speedup=_SPEEDUP):
+                await ground.until(lambda: _is_whole(mission) and not (mission / ".incoming").exists())
+                told = json.loads((mission / "manifest.json").read_text())["journal"]["events"]
+                await ground.until(lambda: json.loads((mission / "outputs.json").read_text())["events"] == told)
+                _check(mission, card, source="http")
