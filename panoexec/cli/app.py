@@ -42,6 +42,7 @@ COMMANDS: dict[str, Command] = {
     "missions": Command("missions", "list the missions of a storage"),
     "fetch": Command("fetch", "bring a mission here, from the drone's computer or a folder, and verify its photos"),
     "import": Command("import_card", "put the photos of a memory card into a mission, each with its attempt"),
+    "calibrate": Command("calibrate", "estimate the gimbal's own errors and the tolerance from flights"),
     "salvage": Command("salvage", "recover the longest true part of a mission whose journal is damaged"),
     "stitch": Command("stitch", "stitch the photos of a mission with Hugin and measure completeness", extra="report"),
     "experiment": Command("experiment", "reproduce the paper's simulation: render, stitch, compare", extra="sim"),

@@ -69,7 +69,8 @@ def write_exports(exports: ExportSet, folder: Path) -> list[Path]:
     """Write a mission's exports into its directory.
 
     `panorama.pto`, `papywizard.xml`, `shots.csv`, `panorama.xmp` (GPano values for the stitched file), `geo.txt` (where
-    positions are known) and one sidecar per image. Without images only the table is written.
+    positions are known), `refined.pto` (where the content of photos was examined) and one sidecar per image. Without
+    images only the table is written.
 
     Args:
         exports: accepted photos with their measured attitudes, in the order taken.
@@ -86,6 +87,9 @@ def write_exports(exports: ExportSet, folder: Path) -> list[Path]:
         texts["panorama.pto"] = hugin_text(exports)
         texts["papywizard.xml"] = papywizard_text(exports)
         texts["panorama.xmp"] = gpano_text(exports)
+        refined = exports.refined()
+        if refined is not None:
+            texts["refined.pto"] = hugin_text(refined)
         if geo := geo_text(exports):
             texts["geo.txt"] = geo
     for name, text in texts.items():

@@ -89,6 +89,7 @@ def _photos(entry: Mapping[str, Any], folder: Path) -> Iterator[ExportShot]:
         target_pitch_deg=float(target["pitch_deg"]),
         target_yaw_deg=float(target["yaw_deg"]),
         measured=measured is not None,
+        refined_wxyz=_quaternion(entry.get("refined")),
         attempt=int(number),
         evidence=str(attempt.get("evidence", "")),
         errors_deg={axis: float(errors[axis]) for axis in ("pitch", "roll", "yaw") if errors.get(axis) is not None},
@@ -104,6 +105,13 @@ def _photos(entry: Mapping[str, Any], folder: Path) -> Iterator[ExportShot]:
             altitude_m=_number(photo.get("altitude_m")),
         )
         yield _seen(named, folder)
+
+
+def _quaternion(pose: Mapping[str, Any] | None) -> tuple[float, float, float, float] | None:
+    if not pose:
+        return None
+    w, x, y, z = (float(v) for v in pose["quaternion"])
+    return w, x, y, z
 
 
 def _seen(shot: ExportShot, folder: Path) -> ExportShot:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Final
 from urllib.parse import unquote, urlsplit
@@ -42,6 +42,7 @@ class ExportShot:
         attempt: number of the attempt at the shot, from 1; 0 for a plan.
         bracket: number of the photo within its exposure bracket, from 1.
         evidence: evidence level of the photo; "" for a plan.
+        refined_wxyz: attitude that the content of the photos implies, likewise; None if unknown.
         errors_deg: pointing errors by axis ("pitch", "roll", "yaw"), the largest over the exposure.
     """
 
@@ -62,6 +63,7 @@ class ExportShot:
     attempt: int = 0
     bracket: int = 1
     evidence: str = ""
+    refined_wxyz: Quaternion | None = None
     errors_deg: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -94,6 +96,13 @@ class ExportSet:
     reference_yaw_north_deg: float = 0.0
     constraints: Constraints | None = None
     settle_s: float = 0.0
+
+    def refined(self) -> ExportSet | None:
+        """The images with the attitudes that their content implies, where it does; None if no image has one."""
+        if not any(shot.refined_wxyz for shot in self.shots):
+            return None
+        shots = tuple(replace(shot, q_wxyz=shot.refined_wxyz or shot.q_wxyz) for shot in self.shots)
+        return replace(self, title=f"{self.title}, attitudes refined by content", shots=shots)
 
     def rotations(self) -> FloatArray:
         """Camera-to-plan rotations (n, 3, 3)."""

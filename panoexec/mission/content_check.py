@@ -86,7 +86,7 @@ class ContentCheck:
         self._checker: PictureChecker | None = None
         self._ended = self._source is None
         self._attempt_of: dict[int, int] = {}
-        self._told: dict[tuple[int, int], tuple[str, int]] = {}
+        self._told: dict[tuple[int, int], tuple[str, tuple[float, float, float] | None]] = {}
         self._retakes: Counter[int] = Counter()
         self._planned = 0
         self._sizes: dict[Path, int] = {}
@@ -220,8 +220,9 @@ class ContentCheck:
             attempt = record.shots[shot].attempts[number - 1]
             if attempt.verdict is not Verdict.ACCEPTED:
                 continue
-            new = (judged.verdict.value, len(judged.ties) if final else -1)
-            if self._told.get((shot, number), ("", -1)) not in {new, (new[0], len(judged.ties))}:
+            # the last word has the estimate of the attitude from all ties
+            new = (judged.verdict.value, judged.error_deg if final else None)
+            if self._told.get((shot, number)) != new and (final or self._told.get((shot, number), ("",))[0] != new[0]):
                 self._told[shot, number] = new
                 self._context.recorder.emit(_checked(shot, number, judged))
             if judged.verdict in BAD:

@@ -23,7 +23,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
-from panoexec.angles import rotation
+import numpy as np
+
+from panoexec.angles import rotation, rotation_from_quaternion
 from panoexec.clock import Clock
 from panoexec.codec import encode
 from panoexec.durable.seals import seal
@@ -33,6 +35,7 @@ from panoexec.inputs.plan_file import camera_to_data, certificate_to_data
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import AttemptRecord, MissionRecord, ShotRecord
 from panoexec.mission.pointing.poses import pose_of, to_north
+from panoexec.pictures.rotations import rotation_of_vector
 from panoexec.planning.model import Certificate, Plan
 
 FORMAT = "panoexec.manifest/1"
@@ -304,6 +307,7 @@ def _shot_json(record: ShotRecord, reference_yaw_north_deg: float, folder: Path)
         "file": "" if accepted is None else attempts[accepted.number - 1]["file"],
         "sha256": None if accepted is None else attempts[accepted.number - 1]["sha256"],
         "content": None if accepted is None else attempts[accepted.number - 1]["content"],
+        "refined": None if accepted is None else _refined_json(accepted),
         "attempts": attempts,
     }
 
@@ -354,6 +358,17 @@ def _checked_json(checked: ev.PhotoChecked | None) -> dict[str, Any]:
         "error_deg": list(checked.error_deg),
         "ties": [encode(tie) for tie in checked.ties],
     }
+
+
+def _refined_json(attempt: AttemptRecord) -> dict[str, Any] | None:
+    """The attitude that the content implies; None without ties, or if the photo does not count."""
+    checked, exposed = attempt.checked, attempt.exposed
+    if checked is None or checked.verdict != "ok" or len(checked.error_deg) != 3:
+        return None
+    if exposed is None or exposed.measured is None:
+        return None
+    turn = rotation_of_vector(-np.radians(np.array(checked.error_deg)))
+    return _pose_json(pose_of(turn @ rotation_from_quaternion(exposed.measured.q_wxyz)))
 
 
 def _photo_json(attempt: AttemptRecord, photo: ev.Photo, folder: Path) -> dict[str, Any]:

@@ -96,7 +96,7 @@ def test_drift_is_rejected_with_a_reason_and_retaken_on_px4_too(tmp_path: Path) 
         (("--speedup", "0"), 2, "--speedup 0: expected more than 0"),
         (("--speedup", "-3"), 2, "--speedup -3: expected more than 0"),
         (("--speedup", "nan"), 2, "--speedup nan: expected more than 0"),
-        (("--fault", "gremlins"), 2, "unknown fault 'gremlins'; known are attitude-frozen, attitude-nan"),
+        (("--fault", "gremlins"), 2, "unknown fault 'gremlins'; known are attitude-frozen, attitude-late"),
         (("--sitl", "/no/such/binary"), 2, "no such file"),
         (("--sitl", __file__), 2, "a script"),
         (("--scene", __file__), 2, "is no image"),

@@ -77,6 +77,25 @@ function stepButtons(shot) {
   return order.length ? buttons : [];
 }
 
+/* One line of a certificate; `ok` is null for what is neither good nor bad. */
+function check(ok, text, more) {
+  const looks = ok === null ? ["", "–"] : ok ? ["good-text", "✓"] : ["bad-text", "✗"];
+  return el("div", { class: "check" }, el("b", { class: looks[0] }, looks[1]), el("span", {}, text, more ? el("small", {}, more) : null));
+}
+
+/* What the content of the photos proves, beside the geometry. */
+function content(found) {
+  if (!found) return [];
+  if (!found.checked) return [check(null, "The content of the photos is unchecked", found.reason)];
+  const names = (list) => list.slice(0, 12).join(", ") + (list.length > 12 ? " …" : "");
+  return [
+    check(!found.bad.length, found.bad.length ? `${plural(found.bad.length, "photo")} do not count for their content` : "Every examined photo is readable, exposed, sharp and where its attitude says", found.bad.length ? found.bad.slice(0, 12).map((bad) => `shot ${bad.shot}: ${bad.code}`).join(", ") : null),
+    check(found.connected, found.connected ? `${plural(found.ties.length, "tie")} connect the photos` : `The photos are tied in ${found.groups} groups that only geometry connects`, found.bridges.length ? `${plural(found.bridges.length, "tie")} would part them if lost` : null),
+    found.geometry_only.length ? check(null, `${plural(found.geometry_only.length, "photo")} are proved by geometry only`, `nothing in their overlaps can be tied: shot ${names(found.geometry_only)}`) : null,
+    found.unchecked.length ? check(null, `The content of ${plural(found.unchecked.length, "photo")} is unchecked`, `shot ${names(found.unchecked)}`) : null,
+  ];
+}
+
 function sphere() {
   const canvas = el("canvas", { id: "ball", tabindex: 0, role: "img", "aria-label": "Map of the sphere with the footprint of every shot; arrow keys turn it" });
   const details = el("div", { class: "shot-card", "aria-live": "polite" });
@@ -117,7 +136,6 @@ function proof() {
     card("certificate", "Certificate", "The panorama as flown was not certified: the mission ended before.");
     return;
   }
-  const check = (ok, text, more) => el("div", { class: "check" }, el("b", { class: ok ? "good-text" : "bad-text" }, ok ? "✓" : "✗"), el("span", {}, text, more ? el("small", {}, more) : null));
   const overlap = (value, asked) => asked === undefined || value >= asked || certificate.certified;
   const [h, v] = data.band.overlap || [undefined, undefined];
   card("certificate", "Certificate of the panorama as flown", "Computed exactly from the measured attitudes, without sampling.",
@@ -127,7 +145,8 @@ function proof() {
     isNumber(certificate.min_overlap_v) && check(overlap(certificate.min_overlap_v, v), `Vertical overlap is at least ${percent(certificate.min_overlap_v)}`, v === undefined ? null : `required: ${percent(v)}`),
     check(certificate.connected, certificate.connected ? "The overlap graph is connected" : "The overlap graph is not connected"),
     check(certificate.two_edge_connected, certificate.two_edge_connected ? "It stays connected without any single overlap" : `${plural(certificate.bridges.length, "overlap")} would disconnect the graph if lost`),
-    certificate.failures.length ? el("ul", { class: "texts" }, certificate.failures.map((text) => el("li", {}, text))) : null);
+    certificate.failures.length ? el("ul", { class: "texts" }, certificate.failures.map((text) => el("li", {}, text))) : null,
+    ...content(certificate.content));
 }
 
 function retakes() {

@@ -153,6 +153,7 @@ class SphereMap {
     }
     c.globalAlpha = 1;
     c.setLineDash([]);
+    this.drawTies(basis);
     this.drawHoles(basis);
     if (chosen.shot) {
       c.lineWidth = 4.5; c.strokeStyle = "rgba(0,0,0,.45)"; this.line(chosen.shot.outline, basis);
@@ -162,6 +163,28 @@ class SphereMap {
     const state = this.canvas.dataset;
     state.yaw = this.yaw.toFixed(2); state.pitch = this.pitch.toFixed(2); state.view = this.view; state.paint = this.paint;
     state.shot = chosen.shot ? chosen.shot.i : "";
+  }
+  /* Which photos their content ties to each other; ties without which a group falls apart are marked. */
+  drawTies(basis) {
+    const content = data.certificate && data.certificate.content;
+    if (!content || !content.checked) return;
+    const c = this.context, places = new Map(shots.map((shot) => [shot.i, shot.boresight]));
+    const bridges = new Set(content.bridges.map(([a, b]) => `${Math.min(a, b)}-${Math.max(a, b)}`));
+    for (const [a, b] of content.ties) {
+      const from = places.get(a), to = places.get(b);
+      if (!from || !to) continue;
+      const bridge = bridges.has(`${Math.min(a, b)}-${Math.max(a, b)}`);
+      c.lineWidth = bridge ? 2.2 : 0.9;
+      c.globalAlpha = bridge ? 1 : 0.55;
+      c.strokeStyle = bridge ? colour("warn") : colour("good");
+      this.line([...Array(9).keys()].map((k) => {
+        const d = [0, 1, 2].map((axis) => from[axis] + (k / 8) * (to[axis] - from[axis])), n = Math.hypot(...d) || 1;
+        return d.map((x) => x / n);
+      }), basis);
+    }
+    c.globalAlpha = 1;
+    for (const i of content.geometry_only) if (places.has(i)) this.dot(places.get(i), basis, colour("warn"), 4);
+    this.canvas.dataset.ties = content.ties.length;
   }
   drawTexture({ ahead, right, down }) {
     const texture = this.textures[this.paint], scale = this.drag ? 0.6 : Math.min(1.5, this.ratio);
