@@ -93,7 +93,7 @@ def _command(options: SitlOptions, *, defaults: str) -> tuple[str, ...]:
         *("--defaults", defaults),
         *("--serial0", f"udpclient:127.0.0.1:{options.ground_port}"),
         *("--serial1", f"udpclient:127.0.0.1:{options.payload_port}"),
-        *("--serial2", "none"),
+        *("--serial2", "none" if options.station_port is None else f"udpclient:127.0.0.1:{options.station_port}"),
         # it binds these ports whether they are used or not
         *("--rc-in-port", str(rc_port)),
         *("--irlock-port", str(irlock_port)),

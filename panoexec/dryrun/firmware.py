@@ -24,6 +24,7 @@ class SitlOptions:
         speedup: simulated seconds per second.
         home: latitude and longitude in degrees, altitude above mean sea level in metres, heading in degrees.
         parameters: autopilot parameters in addition to the firmware's own.
+        station_port: UDP port on this machine that the autopilot sends to, for another ground station; None: no link.
     """
 
     binary: Path
@@ -32,6 +33,7 @@ class SitlOptions:
     speedup: float
     home: tuple[float, float, float, float]
     parameters: Mapping[str, float]
+    station_port: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

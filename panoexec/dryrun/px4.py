@@ -94,10 +94,12 @@ class Px4:
 
 def _links(options: SitlOptions) -> str:
     """The MAVLink instances: one for the mission, one for the gimbal and the camera, both forwarding."""
-    ground, payload = free_udp_ports(2)
+    ground, payload, station = free_udp_ports(3)
+    other = f"mavlink start -x -u {station} -r 400000 -f -m onboard -o {options.station_port}\n"
     return (
         f"mavlink start -x -u {ground} -r 4000000 -f -m onboard -o {options.ground_port}\n"
         f"mavlink start -x -u {payload} -r 400000 -f -m gimbal -o {options.payload_port}\n"
         # the payload's time follows the stamps of this message
         f"mavlink stream -r 50 -s AUTOPILOT_STATE_FOR_GIMBAL_DEVICE -u {payload}\n"
+        + (other if options.station_port is not None else "")
     )

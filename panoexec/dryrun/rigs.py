@@ -119,10 +119,12 @@ class SitlVehicle:
     Attributes:
         binary: from `sitl_binary`.
         simulation: payload, wind, home, seed, speed-up; settings of the embedded autopilot are ignored.
+        station_port: local UDP port of another ground station, to which the autopilot sends too; None: there is none.
     """
 
     binary: Path
     simulation: SimConfig
+    station_port: int | None = None
 
     def __post_init__(self) -> None:
         """Reject settings that a real autopilot does not support.
@@ -161,6 +163,7 @@ class SitlVehicle:
             speedup=self.speedup,
             home=(airframe.latitude_deg, airframe.longitude_deg, airframe.home_altitude_m, airframe.heading_deg),
             parameters=firmware.parameters(self.simulation),
+            station_port=self.station_port,
         )
         about = {"autopilot": firmware.kind, "simulated": "sitl", "binary": str(self.binary), "seed": payload.seed}
         async with (

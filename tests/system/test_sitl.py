@@ -1,7 +1,8 @@
-"""The dry-run on ArduPilot's own software. Opt in: ARDUPILOT_SITL=/path/to/arducopter pytest tests/system/test_sitl.py
+"""The dry-run on ArduPilot's and PX4's own software. Opt in: ARDUPILOT_SITL=/path/to/arducopter PX4_SITL=/path/to/px4
+pytest tests/system/test_sitl.py
 
-At five times real time; a machine that is busy with other things may not get that fast, and then a photo here and there
-is rejected and taken again. What is asserted holds all the same.
+At twice real time; a machine that is busy with other things may not get that fast, and then a photo here and there is
+rejected and taken again. What is asserted holds all the same.
 """
 
 from __future__ import annotations
@@ -11,18 +12,18 @@ import json
 import os
 import signal
 import subprocess
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from panoexec.dryrun.arducopter import BINARY_VARIABLE
-from panoexec.dryrun.autopilot import sitl_binary
 from panoexec.dryrun.firmware import free_udp_ports
 from panoexec.sim.config import AirframeConfig
 from tests.repository import ROOT
 from tests.system import sitl_runs
 from tests.system.dry_runs import accepted, dry_run, flown
+from tests.system.sitl_kinds import ARDUCOPTER, Autopilot, autopilots
 from tests.system.sitl_runs import (
     LONG_S,
     SMALL,
@@ -36,29 +37,39 @@ from tests.system.sitl_runs import (
     truly_flown,
 )
 
-SPEEDUP = 5
-
-pytestmark = pytest.mark.skipif(
-    not os.environ.get(BINARY_VARIABLE), reason=f"set {BINARY_VARIABLE} to an ArduCopter SITL binary to run it"
-)
+SPEEDUP = 2
+STOPPED_S = 5.0
+"""From the signal until nothing is left."""
 
 
-def mission(*arguments: str, output: Path) -> list[str]:
-    return sitl_runs.mission(*arguments, speedup=SPEEDUP, output=output)
+def mission(autopilot: Autopilot, *arguments: str, output: Path) -> list[str]:
+    return sitl_runs.mission("--sitl", str(autopilot.binary()), *arguments, speedup=SPEEDUP, output=output)
 
 
 @contextlib.contextmanager
-def whole_under_way(output: Path) -> Iterator[Started]:
-    arguments = mission("--sitl", *WHOLE, output=output)
-    with in_the_middle(arguments, binary=sitl_binary(None), temporary=output) as started:
+def whole_under_way(autopilot: Autopilot, output: Path) -> Iterator[Started]:
+    arguments = mission(autopilot, *WHOLE, output=output)
+    with in_the_middle(arguments, binary=autopilot.binary(), temporary=output) as started:
         yield started
 
 
-def test_a_whole_panorama_in_wind_and_back_on_the_ground(tmp_path: Path) -> None:
-    summary = truly_flown(*mission("--sitl", *WHOLE, output=tmp_path))
+def locks_of(autopilot: Autopilot, started: Started) -> list[Path]:
+    """What PX4 keeps outside its folder, by the instance that its command line names."""
+    if not autopilot.locks:
+        return []
+    words = started.living()[started.autopilot()].split()
+    instance = words[words.index("-i") + 1]
+    found = [Path(f"/tmp/px4_lock-{instance}"), Path(f"/tmp/px4-sock-{instance}")]
+    assert any(path.exists() for path in found)
+    return found
+
+
+@autopilots()
+def test_a_whole_panorama_in_wind_and_back_on_the_ground(autopilot: Autopilot, tmp_path: Path) -> None:
+    summary = truly_flown(*mission(autopilot, *WHOLE, output=tmp_path))
     assert summary["uncovered_fraction"] == 0
     assert summary["vehicle"]["landed"] is True
-    assert summary["vehicle"]["autopilot_version"].startswith("4.")
+    assert summary["vehicle"]["autopilot_version"].startswith(autopilot.version)
     # the best that a camera can say of each photo: a message of its own
     assert set(summary["evidence"]) <= {"capture_message", "file_seen"}
     assert sum(summary["evidence"].values()) == summary["shots"]
@@ -75,9 +86,9 @@ def test_a_whole_panorama_in_wind_and_back_on_the_ground(tmp_path: Path) -> None
     assert position["altitude_m"] == pytest.approx(home.home_altitude_m + 30.0, abs=3.0)
 
 
-def test_a_two_axis_gimbal_is_panned_by_the_vehicle(tmp_path: Path) -> None:
-    # in 8 m/s the simulated airframe shakes at some headings more than any photo bears (docs/mission.md)
-    summary = truly_flown(*mission("--sitl", *TWO_AXES, "--wind", "4", output=tmp_path))
+@autopilots()
+def test_a_two_axis_gimbal_is_panned_by_the_vehicle(autopilot: Autopilot, tmp_path: Path) -> None:
+    summary = truly_flown(*mission(autopilot, *TWO_AXES, output=tmp_path))
     manifest = manifest_in(tmp_path)
     assert summary["turns"] >= len({round(shot["target"]["yaw_deg"], 1) for shot in manifest["shots"]}) - 1
     for attempt in accepted(manifest):
@@ -85,57 +96,76 @@ def test_a_two_axis_gimbal_is_panned_by_the_vehicle(tmp_path: Path) -> None:
         assert abs(attempt["error_deg"]["yaw"]) <= 2.0
 
 
-def test_the_vehicle_turns_where_a_gimbal_with_stops_does_not_reach(tmp_path: Path) -> None:
-    arguments = ("--sitl", "--yaw", "auto", "--gimbal-pan", "-40", "40", "--elevation", "-20", "20")
-    summary = truly_flown(*mission(*arguments, output=tmp_path))
+@autopilots()
+def test_the_vehicle_turns_where_a_gimbal_with_stops_does_not_reach(autopilot: Autopilot, tmp_path: Path) -> None:
+    arguments = ("--yaw", "auto", "--gimbal-pan", "-40", "40", "--elevation", "-20", "20")
+    summary = truly_flown(*mission(autopilot, *arguments, output=tmp_path))
     assert summary["turns"] >= 4
     assert abs(summary["worst"]["yaw_deg"]) <= 0.7
 
 
-def test_a_camera_on_a_servo_is_proven_by_its_count(tmp_path: Path) -> None:
-    summary = truly_flown(*mission("--sitl", "--trigger", "servo", *SMALL, output=tmp_path))
+@autopilots(ARDUCOPTER)
+def test_a_camera_on_a_servo_is_proven_by_its_count(autopilot: Autopilot, tmp_path: Path) -> None:
+    summary = truly_flown(*mission(autopilot, "--trigger", "servo", *SMALL, output=tmp_path))
     assert summary["evidence"] == {"counted": summary["shots"]}
     # the payload exposes when the autopilot says that it has triggered; not every attempt comes to that
     assert summary["shots"] <= summary["photos"] <= summary["attempts"]
 
 
-def test_ctrl_c_ends_everything_and_the_mission_goes_on_later(tmp_path: Path) -> None:
-    with whole_under_way(tmp_path) as started:
-        started.process.send_signal(signal.SIGINT)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@autopilots()
+def test_a_signal_ends_everything_and_the_mission_goes_on_later(
+    autopilot: Autopilot, number: signal.Signals, tmp_path: Path
+) -> None:
+    with whole_under_way(autopilot, tmp_path) as started:
+        locks = locks_of(autopilot, started)
+        began_s = time.monotonic()
+        started.process.send_signal(number)
         assert started.process.wait(60) == 130
         started.assert_none_left(within_s=0.0)
+        took_s = time.monotonic() - began_s
+        assert took_s <= STOPPED_S, f"{took_s:.1f} s until nothing was left"
     assert list(tmp_path.glob("panoexec-sitl-*")) == []
+    assert not any(path.exists() for path in locks)
     (left,) = tmp_path.glob("missions/*")
     assert taken_in(tmp_path) >= 1
     assert_true(left)
-    summary = flown("--resume", str(left), timeout_s=LONG_S)
-    assert summary["vehicle"]["landed"] is True
+    if number is signal.SIGINT:
+        summary = flown("--resume", str(left), timeout_s=LONG_S)
+        assert summary["vehicle"]["landed"] is True
+        assert_true(left)
 
 
-def test_nothing_outlives_a_dry_run_that_is_killed(tmp_path: Path) -> None:
-    with whole_under_way(tmp_path) as started:
+@autopilots()
+def test_nothing_outlives_a_dry_run_that_is_killed(autopilot: Autopilot, tmp_path: Path) -> None:
+    with whole_under_way(autopilot, tmp_path) as started:
+        left = locks_of(autopilot, started)
+        left += tmp_path.glob("panoexec-sitl-*")
+        assert left
         started.process.send_signal(signal.SIGKILL)
         started.process.wait(10)
         # the renderer may have photos to finish
         started.assert_none_left(within_s=30.0)
-    assert list(tmp_path.glob("panoexec-sitl-*")) == []
+    assert [path for path in left if path.exists()] == []
 
 
-def test_a_sitl_that_dies_ends_the_dry_run_with_its_name(tmp_path: Path) -> None:
-    with whole_under_way(tmp_path) as started:
+@autopilots()
+def test_a_sitl_that_dies_ends_the_dry_run_with_its_name(autopilot: Autopilot, tmp_path: Path) -> None:
+    with whole_under_way(autopilot, tmp_path) as started:
         os.kill(started.autopilot(), signal.SIGKILL)
         _, error = started.process.communicate(timeout=60)
         assert started.process.returncode == 3
-        assert f"{sitl_binary(None)} exited unexpectedly (signal 9)" in error.splitlines()[-1]
+        assert f"{autopilot.binary()} exited unexpectedly (signal 9)" in error.splitlines()[-1]
         started.assert_none_left(within_s=0.0)
 
 
-def test_a_vehicle_that_runs_already_is_neither_armed_nor_flown_nor_ended(tmp_path: Path) -> None:
+@autopilots(ARDUCOPTER)
+def test_a_vehicle_that_runs_already_is_neither_armed_nor_flown_nor_ended(autopilot: Autopilot, tmp_path: Path) -> None:
     ground_port, payload_port, rc_port, irlock_port = free_udp_ports(4)
     parameters = ROOT / "config" / "ardupilot-sitl.parm"
     with subprocess.Popen(
         [
-            str(sitl_binary(None)),
+            str(autopilot.binary()),
             *("--model", "+", "--wipe", "--speedup", str(SPEEDUP), "--defaults", str(parameters)),
             *("--home", "47.397742,8.545594,488,20", "--serial2", "none"),
             # ports that wait to be called, as sim_vehicle.py opens them
@@ -148,7 +178,9 @@ def test_a_vehicle_that_runs_already_is_neither_armed_nor_flown_nor_ended(tmp_pa
     ) as sitl:
         try:
             connect = ("--sitl-connect", f"tcp:127.0.0.1:{ground_port}", "--attach", f"tcp:127.0.0.1:{payload_port}")
-            done = dry_run(*mission(*connect, *SMALL, output=tmp_path), "--json", timeout_s=LONG_S)
+            done = dry_run(
+                *sitl_runs.mission(*connect, *SMALL, speedup=SPEEDUP, output=tmp_path), "--json", timeout_s=LONG_S
+            )
             assert done.returncode == 0, done.stderr
             assert "stands on the ground" in done.stderr
             summary = json.loads(done.stdout)

@@ -62,6 +62,24 @@ def read(path: Path) -> str:
     return path.read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(("port", "links"), [(None, 2), (40003, 3)])
+def test_another_station_gets_a_link_of_its_own_where_there_is_one(
+    tmp_path: Path, port: int | None, links: int
+) -> None:
+    binary = built(tmp_path / "px4", tmp_path / "told")
+    (tmp_path / "run").mkdir()
+    firmware_of(binary).launch(tmp_path / "run", options(binary, station_port=port))
+    script = read(tmp_path / "run/scripts/px4-rc.mavlink")
+    assert script.count("mavlink start") == links
+    assert ("-o 40003" in script) is (port is not None)
+    other = tmp_path / "arducopter"
+    other.write_text("", encoding="utf-8")
+    (tmp_path / "copter").mkdir()
+    command = firmware_of(other).launch(tmp_path / "copter", options(other, station_port=port)).command
+    expected = "none" if port is None else "udpclient:127.0.0.1:40003"
+    assert command[command.index("--serial2") + 1] == expected
+
+
 def test_a_binary_is_px4_if_its_start_up_files_are_beside_it(tmp_path: Path) -> None:
     binary = built(tmp_path / "px4", tmp_path / "told")
     assert firmware_of(binary).kind == "px4"

@@ -51,17 +51,42 @@ def test_one_that_does_not_leave_that_pose_any_more_still_is() -> None:
 
 
 @pytest.mark.parametrize(
+    "ways",
+    [
+        [(-30.0, 0.0), (-30.0, 60.0), (-30.0, 60.0), (-30.0, 95.0)],
+        [(-30.0, 0.0), (-30.0, 40.0), (-30.0, -50.0)],
+        [(-30.0, 150.0), (-30.0, 190.0), (-30.0, 100.0)],
+    ],
+    ids=["rests at its target and leaves it", "turns back", "turns back beyond south"],
+)
+def test_so_is_one_that_leaves_its_way_in_yaw_alone(ways: list[Pose]) -> None:
+    assert why(ForeignPointing(), slew(*ways))
+
+
+@pytest.mark.parametrize(
     "readings",
     [
         slew(START, (-20.0, 30.0)),
         slew(START, START),
         slew(START, (-30.0, 60.0), (-30.0, 95.0)),
+        slew((-30.0, 0.0), (-30.0, 0.0), (-30.0, 95.0)),
+        slew((-30.0, 0.0), (-30.0, 80.0), (-30.0, 74.0)),
         slew(START, TARGET, (-27.0, 62.0)),
         slew(START, TARGET, THERE)[:45],
         slew(START, TARGET, THERE, wobble_deg=2.0),
         [],
     ],
-    ids=["stuck on its way", "never moved", "north off", "little beside", "still moving", "shaken", "silent"],
+    ids=[
+        "stuck on its way",
+        "never moved",
+        "north off",
+        "north off, late",
+        "overshoots",
+        "little beside",
+        "still moving",
+        "shaken",
+        "silent",
+    ],
 )
 def test_no_other_fault_is_taken_for_it(readings: list[Reading]) -> None:
     assert not why(ForeignPointing(), readings)
