@@ -153,6 +153,7 @@ class StatePublisher:
             attempts=0 if record is None else record.attempts,
             retakes=0 if record is None else record.retakes,
             shots=self._marks.text(record),
+            content={} if record is None else record.content_counts(),
             current=record.current if record is not None and mission is not None else None,
             eta_s=round(eta, 1) if math.isfinite(eta) else None,
             reason=reason,

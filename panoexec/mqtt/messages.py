@@ -57,6 +57,7 @@ class State(Payload):
         shots: status of each shot in the order of the indices, with equal neighbours combined, for example
             `d12 r1 c1 t42`: d done, r done after a retake, c current, a to be retaken, m missing (given up or skipped),
             t pending; empty without a mission.
+        content: accepted photos by what their content proves (`ok`, `blurred`, …); empty while nothing was examined.
         current: index of the current shot.
         eta_s: estimated seconds until the end of shooting.
         reason: why the mission is in this state, as text.
@@ -74,6 +75,7 @@ class State(Payload):
     attempts: int
     retakes: int
     shots: str
+    content: dict[str, int] = Field(default_factory=dict)
     current: int | None
     eta_s: float | None
     reason: str

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -401,6 +402,14 @@ class MissionRecord:
         if not 1 <= event.attempt <= len(attempts) or attempts[event.attempt - 1].verdict is not Verdict.OPEN:
             raise ValueError(f"shot {event.shot}: {event.type} for attempt {event.attempt}, which is not open")
         return attempts[event.attempt - 1]
+
+    def content_counts(self) -> dict[str, int]:
+        """Accepted photos by the verdict on their content; empty while nothing was examined."""
+        accepted = [shot.accepted for shot in self.shots.values()]
+        verdicts = [
+            attempt.checked.verdict for attempt in accepted if attempt is not None and attempt.checked is not None
+        ]
+        return dict(sorted(Counter(verdicts).items()))
 
     def bad_photos(self) -> dict[int, str]:
         """Shots whose accepted photo does not count for its content, with the verdict."""
