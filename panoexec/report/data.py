@@ -177,7 +177,8 @@ def _counts(shots: list[dict[str, Any]]) -> dict[str, Any]:
     attempts = sum(len(shot["attempts"]) for shot in shots)
     done = [shot for shot in shots if shot["accepted"]]
     missing = [shot["i"] for shot in shots if not shot["accepted"]]
-    retakes = sum(max(0, len(shot["attempts"]) - 1) for shot in shots)
+    tries = [sum(attempt["verdict"] != "interrupted" for attempt in shot["attempts"]) for shot in shots]
+    retakes = sum(max(0, number - 1) for number in tries)
     return {
         "shots_total": len(shots),
         "shots_done": len(done),

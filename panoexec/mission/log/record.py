@@ -98,6 +98,19 @@ class ShotRecord:
         return next((a for a in reversed(self.attempts) if a.verdict is Verdict.ACCEPTED), None)
 
     @property
+    def tries(self) -> int:
+        """Number of attempts, without those that a pause, a skip or an end broke off before their photo."""
+        return sum(attempt.verdict is not Verdict.INTERRUPTED for attempt in self.attempts)
+
+    @property
+    def is_retaken(self) -> bool:
+        """Whether the attempt that counts is not the first try."""
+        counts = self.accepted
+        return counts is not None and any(
+            attempt.verdict is not Verdict.INTERRUPTED for attempt in self.attempts[: counts.number - 1]
+        )
+
+    @property
     def open_attempt(self) -> AttemptRecord | None:
         """The attempt without a verdict, if there is one."""
         return next((a for a in reversed(self.attempts) if a.verdict is Verdict.OPEN), None)
@@ -176,7 +189,6 @@ class MissionRecord:
         self.started_utc_s = math.nan
         self.finished_utc_s = math.nan
         self.restarts = 0
-        self.retakes = 0
         self.current: int | None = None
         self.gimbal_held = False
         """This process controls the gimbal."""
@@ -353,9 +365,8 @@ class MissionRecord:
     def _apply_decision(self, event: ev.ShotEvent, record: ShotRecord) -> None:
         match event:
             case ev.ShotRetaken():
-                self.retakes += 1
+                pass  # the attempt that begins now counts
             case ev.ShotDeferred():
-                self.retakes += 1
                 record.status, record.reason = ShotStatus.DEFERRED, event.reason
             case ev.ShotMissed() | ev.ShotSkipped():
                 ended = ShotStatus.MISSED if isinstance(event, ev.ShotMissed) else ShotStatus.SKIPPED
@@ -439,6 +450,11 @@ class MissionRecord:
     def attempts(self) -> int:
         """Number of attempts begun, over all shots."""
         return self._attempts
+
+    @property
+    def retakes(self) -> int:
+        """Number of tries beyond the first, over all shots (docs/contract.md)."""
+        return sum(max(0, shot.tries - 1) for shot in self.shots.values())
 
     def missing(self) -> tuple[int, ...]:
         """Indices of shots without an accepted photo, in shooting order."""

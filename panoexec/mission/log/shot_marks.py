@@ -19,37 +19,41 @@ class ShotMark(StrEnum):
     CURRENT = "c"
     """Being taken."""
     DONE = "d"
-    """Accepted at the first attempt."""
+    """Accepted at the first try."""
     RETAKEN = "r"
-    """Accepted at a later attempt."""
+    """Accepted at a later try."""
     AGAIN = "a"
     """Rejected, to be taken again."""
     MISSING = "m"
-    """Missed or skipped."""
+    """Missed or skipped; or not taken when the mission ended."""
 
 
 _RUN: Final = re.compile(r"([tcdram])([1-9][0-9]{0,6})")
 
 
-def mark_of(record: ShotRecord, *, current: bool) -> ShotMark:
+def mark_of(record: ShotRecord, *, current: bool, ended: bool = False) -> ShotMark:
     """The mark of a shot.
 
     Args:
         record: of the shot.
         current: whether it is the mission's current shot.
+        ended: whether the mission is over, so that nothing is to be taken any more.
     """
     if current and record.status in {ShotStatus.ACTIVE, ShotStatus.EXPOSED}:
         return ShotMark.CURRENT
     if record.accepted is not None:
-        return ShotMark.RETAKEN if record.accepted.number > 1 else ShotMark.DONE
-    if record.status in {ShotStatus.MISSED, ShotStatus.SKIPPED}:
+        return ShotMark.RETAKEN if record.is_retaken else ShotMark.DONE
+    if ended or record.status in {ShotStatus.MISSED, ShotStatus.SKIPPED}:
         return ShotMark.MISSING
     return ShotMark.AGAIN if any(attempt.code for attempt in record.attempts) else ShotMark.TO_DO
 
 
 def marks_text(record: MissionRecord) -> str:
     """The marks of all shots by index, run-length encoded: `d12 r1 c1 t42`."""
-    return _in_runs(mark_of(shot, current=index == record.current) for index, shot in sorted(record.shots.items()))
+    return _in_runs(
+        mark_of(shot, current=index == record.current, ended=record.ended)
+        for index, shot in sorted(record.shots.items())
+    )
 
 
 def _in_runs(letters: Iterable[ShotMark]) -> str:
@@ -66,6 +70,7 @@ class ShotMarks:
         self._touched: set[int] = set()
         self._current: int | None = None
         self._text = ""
+        self._ended = False
 
     def note(self, event: ev.Event) -> None:
         """Take a published event."""
@@ -81,11 +86,14 @@ class ShotMarks:
             self._places = {index: place for place, index in enumerate(sorted(record.shots))}
             self._letters = [ShotMark.TO_DO] * len(record.shots)
             self._touched = set(record.shots)
+        elif record.ended and not self._ended:
+            self._touched = set(record.shots)
         elif not self._touched and record.current == self._current:
             return self._text
+        self._ended = record.ended
         self._touched |= {index for index in (self._current, record.current) if index in self._places}
         for index in self._touched & self._places.keys():
-            mark = mark_of(record.shots[index], current=index == record.current)
+            mark = mark_of(record.shots[index], current=index == record.current, ended=record.ended)
             self._letters[self._places[index]] = mark
         self._touched.clear()
         self._current = record.current

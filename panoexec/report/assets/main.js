@@ -29,11 +29,13 @@ function tiles() {
   }
   const { samples } = data.battery, last = samples.length ? samples[samples.length - 1][1] : null;
   const whole = certificate ? 1 - certificate.uncovered_fraction : null;
+  const brokenOff = attempts.filter((item) => item.verdict === "interrupted").length;
+  const tried = rejected ? `${plural(rejected, "attempt")} rejected` : brokenOff ? `none rejected, ${brokenOff} interrupted` : "every first attempt was accepted";
   const ratio = isNumber(timeline.limit_s) && timeline.limit_s > 0 ? timeline.duration_s / timeline.limit_s : null;
   document.getElementById("tiles").append(
     tile("shots", [String(counts.shots_done), el("small", {}, ` of ${counts.shots_total}`)], done ? "all accepted" : `${counts.shots_total - counts.shots_done} missing`, done ? "good" : "bad"),
     tile("coverage", percent(whole, 2), certificate ? (certificate.certified ? "certified as flown" : "not certified") : "not certified: the mission has not ended", certificate ? (whole === 1 ? "good" : "bad") : ""),
-    tile("retakes", String(counts.retakes), rejected ? `${plural(rejected, "attempt")} rejected` : "every first attempt was accepted"),
+    tile("retakes", String(counts.retakes), tried),
     tile("worst accepted error", worst ? `${Math.round(100 * worst.share)} %` : "–", worst ? `of τ: ${worst.axis} ${signed(worst.value)}` : "no measured attitude", worst && worst.share > 1 ? "warn" : ""),
     tile("shooting time", seconds(timeline.duration_s), ratio ? `${ratio.toFixed(2)} × the physical limit` : "physical limit unknown"),
     tile("battery", percent(last, 0), samples.length > 1 ? `from ${percent(samples[0][1], 0)}` : "no history"),
@@ -155,7 +157,7 @@ function retakes() {
     card("retakes", "Retakes", counts.attempts ? "None: every attempt was accepted." : "There were no attempts.");
     return;
   }
-  card("retakes", "Retakes and their reasons", `${plural(counts.attempts, "attempt")} at ${plural(counts.shots_total, "shot")}.`,
+  card("retakes", "Rejected and interrupted attempts", `${plural(counts.attempts, "attempt")} at ${plural(counts.shots_total, "shot")}, ${plural(counts.retakes, "retake")}.`,
     el("div", {}, data.reasons.map(([code, n]) => [pill(`${n} × ${words(code)}`, "bad"), " "])),
     el("div", { class: "scroll" }, el("table", {}, el("thead", {}, el("tr", {}, el("th", { class: "num" }, "shot"), el("th", { class: "num" }, "attempt"), el("th", {}, "reason"))),
       el("tbody", {}, bad.map((item) => el("tr", { class: "hit" }, el("td", { class: "num" }, String(item.shot.i)), el("td", { class: "num" }, String(item.n)), el("td", {}, item.reason || item.verdict)))))));

@@ -7,6 +7,7 @@ import numpy as np
 from panoexec.angles import rotation, rotation_from_quaternion
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import MissionRecord, ShotStatus, Verdict
+from panoexec.mission.log.shot_marks import ShotMark, marks_from_text, marks_text
 from panoexec.mission.log.states import ENDED, TRANSITIONS, MissionState
 from panoexec.mission.pointing.poses import read_pose
 from panoexec.planning.geometry.pose_error import pose_error
@@ -118,8 +119,24 @@ def check_accepted(world: World, record: MissionRecord) -> None:
                 assert apart <= tolerance.pitch_deg + tolerance.roll_deg + tolerance.yaw_deg
 
 
+def check_counts(record: MissionRecord) -> None:
+    """The counts of a mission agree with its attempts, and with the marks that a ground station counts."""
+    marks = marks_from_text(marks_text(record), count=record.shots_total)
+    assert len(marks) == record.shots_total
+    assert sum(mark in {ShotMark.DONE, ShotMark.RETAKEN} for mark in marks) == record.shots_done
+    assert record.shots_done + len(record.missing()) == record.shots_total
+    if record.ended:
+        assert marks.count(ShotMark.MISSING) == len(record.missing())
+    if not record.retakes:
+        assert ShotMark.RETAKEN not in marks
+    tries = [a for shot in record.shots.values() for a in shot.attempts if a.verdict is not Verdict.INTERRUPTED]
+    assert record.retakes == len(tries) - sum(shot.tries > 0 for shot in record.shots.values())
+    assert record.attempts == sum(len(shot.attempts) for shot in record.shots.values())
+
+
 def check_end(world: World, record: MissionRecord) -> None:
-    """The gimbal is not ours any more, and the last event says how it ended."""
+    """The gimbal is not ours any more, and the last event says how it ended; the counts agree."""
+    check_counts(record)
     assert record.state in ENDED | {MissionState.PAUSED}
     if not world.gimbal.release_hangs:
         assert not world.gimbal.in_control
