@@ -23,7 +23,6 @@ class Autopilot:
         hold: base mode, main and sub mode (DO_SET_MODE) in which a mission may be flown.
         rtl: the same of the return to launch.
         gps: parameter that takes the GPS away, its values without and with GPS, and whether it is an integer.
-        obeys_anybody: whether a station without control points the gimbal (DO_MOUNT_CONTROL).
         locks: whether it leaves a lock file and a socket in /tmp.
     """
 
@@ -33,7 +32,6 @@ class Autopilot:
     hold: tuple[float, float, float]
     rtl: tuple[float, float, float]
     gps: tuple[str, float, float, bool]
-    obeys_anybody: bool
     locks: bool
 
     def binary(self) -> Path:
@@ -47,7 +45,6 @@ ARDUCOPTER = Autopilot(
     hold=(1, 4, 0),
     rtl=(1, 6, 0),
     gps=("SIM_GPS1_ENABLE", 0, 1, False),
-    obeys_anybody=True,
     locks=False,
 )
 PX4 = Autopilot(
@@ -57,7 +54,6 @@ PX4 = Autopilot(
     hold=(1, 4, 3),
     rtl=(1, 4, 5),
     gps=("SIM_GPS_USED", 0, 10, True),
-    obeys_anybody=False,
     locks=True,
 )
 

@@ -1,8 +1,8 @@
 """Recognises that another station points the gimbal, though the mission has control of it.
 
 ArduPilot carries out MAV_CMD_DO_MOUNT_CONTROL and the ROI commands of any station at once, whoever is in control, and
-tells nobody else of them. What is left to see is the gimbal: it leaves the way to its target, or the target, and comes
-to rest elsewhere.
+tells nobody else of them; PX4 carries out the former. What is left to see is the gimbal: it leaves the way to its
+target, or the target, and comes to rest elsewhere.
 
 * One that is stuck stays where it is: it never turns away from its target.
 * One whose north is off misses in yaw only, by the same angle everywhere; one that is slow does not come to rest. Both
