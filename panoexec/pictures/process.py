@@ -7,6 +7,7 @@ import contextlib
 import dataclasses
 import json
 import math
+import os
 import sys
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
@@ -45,6 +46,8 @@ class PictureProcess:
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             limit=_LINE_LIMIT,
+            # small matrices: a second thread costs half as much again and gains nothing
+            env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
         )
         checker = cls(process)
         try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-import resource
+import os
 import subprocess
 import sys
 import tempfile
@@ -67,7 +67,7 @@ def measure() -> Iterable[Measurement]:
 
 
 def _in_a_process(photos: PhotoSet) -> tuple[float, float]:
-    """Processor time a photo after the first two, and the greatest resident memory of the process."""
+    """Processor time a photo, and the greatest resident memory (MB) of the process that examines them."""
     with tempfile.TemporaryDirectory() as folder:
         requests = [json.dumps({"camera": asdict(photos.camera)})]
         for photo in photos.photos:
@@ -76,15 +76,32 @@ def _in_a_process(photos: PhotoSet) -> tuple[float, float]:
             q_wxyz = quaternion_from_rotation(photo.measured).tolist()
             add = {"shot": photo.shot, "path": str(path), "q_wxyz": q_wxyz, "time_s": photo.time_s}
             requests.append(json.dumps({"add": add}))
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        command = [sys.executable, "-m", "panoexec.pictures.worker"]
-        subprocess.run(command, input="\n".join(requests[:1]) + "\n", text=True, check=True, capture_output=True)
-        start = resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run(command, input="\n".join(requests) + "\n", text=True, check=True, capture_output=True)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    startup_s = start.ru_utime + start.ru_stime - before.ru_utime - before.ru_stime
-    total_s = after.ru_utime + after.ru_stime - start.ru_utime - start.ru_stime
-    return (total_s - startup_s) / (len(requests) - 1), after.ru_maxrss / 1000
+        with subprocess.Popen(
+            [sys.executable, "-m", "panoexec.pictures.worker"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+        ) as worker:
+            assert worker.stdin is not None
+            assert worker.stdout is not None
+            begun_s = 0.0
+            for number, request in enumerate(requests):
+                worker.stdin.write(request + "\n")
+                worker.stdin.flush()
+                worker.stdout.readline()
+                if not number:
+                    begun_s = _cpu_s(worker.pid)
+            spent_s = _cpu_s(worker.pid) - begun_s
+            status = Path(f"/proc/{worker.pid}/status").read_text(encoding="ascii")
+            worker.stdin.close()
+    peak_kb = next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM"))
+    return spent_s / len(photos.photos), peak_kb / 1000
+
+
+def _cpu_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _large_photo_s(content: bytes) -> float:
