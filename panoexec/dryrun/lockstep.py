@@ -60,7 +60,10 @@ class Lockstep:
         self._clock = clock
         self._allow = allow
         self._speedup = speedup
-        self._speed, self._ahead_s = 1.0, AHEAD_S
+        # nothing is commanded at an exact time yet; with small steps a vehicle on a starved computer beats less than
+        # once in the 3 real seconds after which MAVSDK considers it lost, so that it would never be found
+        self._speed, self._ahead_s = 1.0, _BEGIN_AHEAD_S
+        self._begun = False
         self._loop: asyncio.AbstractEventLoop | None = None
         self._turning = False
         self._told = 0
@@ -87,7 +90,7 @@ class Lockstep:
         self._speed, self._ahead_s = max(_BEGIN_SPEED, self._speedup), _BEGIN_AHEAD_S
         now_s = self._clock.monotonic()
         await self._clock.sleep(BEGIN_EVERY_S * (math.floor(now_s / BEGIN_EVERY_S) + 1) - now_s)
-        self._speed, self._ahead_s = self._speedup, AHEAD_S
+        self._speed, self._ahead_s, self._begun = self._speedup, AHEAD_S, True
 
     # --- in MAVSDK's callback thread
 
@@ -119,7 +122,7 @@ class Lockstep:
         """Let the vehicle advance beyond the time received from it."""
         clock = self._clock
         now_s = clock.monotonic()
-        if clock.is_at_work:
+        if clock.is_at_work and self._begun:
             until_s, speed = now_s + STEP_S, min(1.0, self._speed)
         else:
             until_s, speed = max(now_s, min(now_s + self._ahead_s, clock.next_s)), self._speed

@@ -127,6 +127,19 @@ async def test_real_work_takes_small_steps_no_faster_than_real_time() -> None:
         assert vehicle.steps[-1][2] == 20.0
 
 
+async def test_before_a_mission_begins_a_vehicle_needs_few_steps() -> None:
+    """On a starved computer each step takes long, and the vehicle's heartbeats must come in time to find it."""
+    vehicle = VehicleInAThread()
+    async with together(vehicle) as (clock, _):
+        await clock.sleep(0.1)
+        with clock.work():
+            lived, began_s = len(vehicle.steps), vehicle.now_s
+            await clock.sleep(2.0)
+            during = vehicle.steps[lived:]
+            assert len(during) <= 2 * (vehicle.now_s - began_s) / 0.1
+            assert {speed for _, _, speed in during} == {1.0}
+
+
 async def test_lost_time_message_delays_only_briefly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("panoexec.dryrun.lockstep._LOOK_S", 0.05)
     vehicle = VehicleInAThread()
