@@ -105,7 +105,7 @@ async def test_what_was_under_way_when_the_daemon_was_killed_is_brought_after_it
     port, card = free_udp_port(), tmp_path / "card"
     slow = ["camera.files=http", "camera.files_kb_s=4", "camera.render_width_px=160"]
     simulation = settings.changed(SimConfig(port=port, speedup=_SPEEDUP, output=card), slow)
-    more = '[camera]\nfile_hosts = ["127.0.0.1"]\n[pictures]\nthumbnails = "off"\n'
+    more = '[camera]\nfile_hosts = ["127.0.0.1"]\n[pictures]\nthumbnails = "off"\ncheck = "off"\n'
     with running_broker(tmp_path) as broker:
         async with running_simulator(simulation), ground_station(broker) as ground:
             async with serving(tmp_path, broker, port, more=more, speedup=_SPEEDUP) as process:
