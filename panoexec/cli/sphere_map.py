@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from panoexec.angles import rotation
 from panoexec.mission.log import shot_marks
-from panoexec.mission.log.record import MissionRecord, ShotRecord
+from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.log.shot_marks import ShotMark
+from panoexec.mission.log.shot_record import ShotRecord
 from panoexec.optics import Camera
 from panoexec.planning.model import Shot
 

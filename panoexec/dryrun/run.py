@@ -25,7 +25,8 @@ from panoexec.errors import LinkError, UsageError
 from panoexec.mission.executor import Mission
 from panoexec.mission.ideal_duration import ideal_step_durations_s
 from panoexec.mission.log.events import AxisErrors, Event
-from panoexec.mission.log.record import MissionRecord, Verdict
+from panoexec.mission.log.record import MissionRecord
+from panoexec.mission.log.shot_record import Verdict
 from panoexec.mission.pointing.poses import pose_of, read_pose
 from panoexec.mission.protocols import PhotoFetcher
 from panoexec.mission.settings import MissionSettings

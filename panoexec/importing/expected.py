@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 from panoexec.importing.pairing import Expected
-from panoexec.mission.log.record import AttemptRecord, MissionRecord, Verdict
+from panoexec.mission.log.record import MissionRecord
+from panoexec.mission.log.shot_record import AttemptRecord, Verdict
 
 _PLAUSIBLE_S = 10.0
 """A capture time that is further from the verdict on the exposure is of a clock that is not this computer's."""

@@ -26,7 +26,7 @@ from panoexec.clock import work
 from panoexec.errors import PanoexecError
 from panoexec.mission.context import MissionContext
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.record import AttemptRecord, ShotRecord, Verdict
+from panoexec.mission.log.shot_record import AttemptRecord, ShotRecord, Verdict
 from panoexec.mission.protocols import PictureChecker
 from panoexec.optics import Camera
 from panoexec.pictures.model import BAD, Content, Judgement, Verdicts

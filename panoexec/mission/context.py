@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from panoexec.clock import Clock
 from panoexec.devices import Camera, Gimbal, Vehicle
 from panoexec.mission.eta import EtaEstimator
-from panoexec.mission.log.record import MissionRecord, ShotStatus
+from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.log.recorder import Recorder
+from panoexec.mission.log.shot_record import ShotStatus
 from panoexec.mission.mission_requests import MissionRequests
 from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.protocols import Verifier

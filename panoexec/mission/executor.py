@@ -20,8 +20,9 @@ from panoexec.mission.guard_monitor import GuardMonitor
 from panoexec.mission.guards import Guard, flight_guards
 from panoexec.mission.lens_check import lens_problem
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.record import MissionRecord, ShotStatus
+from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.log.recorder import Recorder
+from panoexec.mission.log.shot_record import ShotStatus
 from panoexec.mission.log.states import FINISHED, MissionState
 from panoexec.mission.metering import meter_exposure
 from panoexec.mission.mission_requests import MissionRequests, Stop

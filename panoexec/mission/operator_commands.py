@@ -8,7 +8,7 @@ from functools import partial
 
 from panoexec.mission.context import MissionContext
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.record import ShotStatus
+from panoexec.mission.log.shot_record import ShotStatus
 from panoexec.mission.log.states import ENDED, MissionState
 from panoexec.mission.mission_requests import CommandRefusedError, Stop
 

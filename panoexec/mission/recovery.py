@@ -16,7 +16,7 @@ from panoexec.errors import DeviceError
 from panoexec.mission import evidence
 from panoexec.mission.context import MissionContext
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.record import AttemptRecord, Verdict
+from panoexec.mission.log.shot_record import AttemptRecord, Verdict
 from panoexec.mission.measured_certificate import overlaps_hold
 from panoexec.mission.protocols import PhotoRecall
 from panoexec.mission.waiting import until, within

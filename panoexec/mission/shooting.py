@@ -15,7 +15,7 @@ from panoexec.mission.context import MissionContext
 from panoexec.mission.guard_monitor import GuardMonitor
 from panoexec.mission.guards import Finding
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.record import ShotStatus, Verdict
+from panoexec.mission.log.shot_record import ShotStatus, Verdict
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.mission_requests import Stop
 from panoexec.mission.photo_proof import PhotoProof

@@ -33,7 +33,8 @@ from panoexec.errors import InputFileError, UsageError
 from panoexec.files import write_atomically
 from panoexec.inputs.plan_file import camera_to_data, certificate_to_data
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.record import AttemptRecord, MissionRecord, ShotRecord
+from panoexec.mission.log.record import MissionRecord
+from panoexec.mission.log.shot_record import AttemptRecord, ShotRecord
 from panoexec.mission.pointing.poses import pose_of, to_north
 from panoexec.pictures.rotations import rotation_of_vector
 from panoexec.planning.model import Certificate, Plan

@@ -19,7 +19,8 @@ import structlog
 
 from panoexec.errors import PanoexecError, PhotoFileError
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.record import MissionRecord, Verdict
+from panoexec.mission.log.record import MissionRecord
+from panoexec.mission.log.shot_record import Verdict
 from panoexec.mission.protocols import PhotoFetcher
 from panoexec.store.photo_store import PhotoNotRecordedError, PhotoRefusedError, PhotoSource, PhotoStore
 

@@ -18,7 +18,8 @@ import pytest
 
 from panoexec.inputs.plan_file import write_plan
 from panoexec.mission.log.events import Event
-from panoexec.mission.log.record import MissionRecord, Verdict
+from panoexec.mission.log.record import MissionRecord
+from panoexec.mission.log.shot_record import Verdict
 from panoexec.mission.log.states import MissionState
 from panoexec.planning.model import Band, Constraints, Plan, Shot, Tolerance
 from panoexec.sim.config import AirframeConfig, CameraConfig, SimConfig

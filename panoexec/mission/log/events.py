@@ -10,98 +10,56 @@ camera (FRD) to that frame (NED); roll, pitch and yaw are the gimbal's axes in 3
 
 from __future__ import annotations
 
-import re
 import types
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from typing import Annotated, Any, ClassVar, Protocol
+from typing import Any, Protocol
 
-from panoexec.codec import ByName, Flag, Number, Whole, decode, encode
-from panoexec.devices import EvidenceLevel
-from panoexec.formats.photo_settings import PhotoExif
-from panoexec.mission.log.states import MissionState
+from panoexec.codec import Flag, Number, Whole, decode
+from panoexec.mission.log.event_base import NAN, AxisErrors, Event, MeasuredPose, Photo, ShotEvent
+from panoexec.mission.log.photo_events import ContentJudged, PhotoChecked, PhotoIdentified, PhotoStored, PhotoTie
 
-NAN = float("nan")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AxisErrors:
-    """The largest pointing errors of an exposure, signed, in degrees (`planning.geometry.pose_error`)."""
-
-    pitch_deg: Number
-    roll_deg: Number
-    yaw_deg: Number
-    across_deg: Number
-    along_deg: Number
-    rotation_deg: Number
-    boresight_deg: Number
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MeasuredPose:
-    """The mean attitude over an exposure, in the plan's frame."""
-
-    q_wxyz: tuple[Number, Number, Number, Number]
-    roll_deg: Number
-    pitch_deg: Number
-    yaw_deg: Number
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Photo:
-    """The record of one photo.
-
-    Attributes:
-        number: within its attempt, from 1 (brackets have several).
-        evidence: the best evidence so far.
-        capture_time_utc_s: exposure time as reported by the camera, else the time of the trigger.
-        image_index: the camera's image index, or -1.
-        file: file name or URL as reported by the camera, or "".
-        latitude_deg, longitude_deg, altitude_m: position, or NaN.
-        duplicates: further reports of the same photo.
-    """
-
-    number: Whole
-    evidence: Annotated[EvidenceLevel, ByName()]
-    capture_time_utc_s: Number
-    image_index: Whole = -1
-    file: str = ""
-    latitude_deg: Number = NAN
-    longitude_deg: Number = NAN
-    altitude_m: Number = NAN
-    duplicates: Whole = 0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Event:
-    """The common fields of all events, set by the recorder.
-
-    Attributes:
-        mission_id: the mission.
-        seq: 1, 2, 3, … within the mission.
-        time_utc_s: wall time.
-        clock_s: the mission's clock, seconds (in a dry-run: the simulated vehicle's); differences within one process
-            are durations that do not depend on wall time. NaN if unknown.
-        state: the mission's state after the event.
-    """
-
-    mission_id: str = ""
-    seq: Whole = 0
-    time_utc_s: Number = 0.0
-    clock_s: Number = NAN
-    state: MissionState = MissionState.IDLE
-
-    type: ClassVar[str] = "event"
-
-    def __init_subclass__(cls) -> None:
-        cls.type = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
-
-    def to_json(self) -> dict[str, Any]:
-        """A JSON object: `type`, `id`, `time` (ISO 8601 UTC) and the fields; NaN becomes null."""
-        stamp = datetime.fromtimestamp(self.time_utc_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-        head = {"type": self.type, "id": f"{self.mission_id}/{self.seq}", "time": stamp}
-        return head | encode(self)
+__all__ = [
+    "EVENT_TYPES",
+    "NAN",
+    "AxisErrors",
+    "CommandReceived",
+    "ContentJudged",
+    "Event",
+    "EventSink",
+    "GimbalAcquired",
+    "GimbalContradicted",
+    "GimbalReleased",
+    "MeasuredPose",
+    "MissionAnchored",
+    "MissionFinished",
+    "MissionFinishing",
+    "MissionPaused",
+    "MissionResumed",
+    "MissionStarted",
+    "PatchPlanned",
+    "Photo",
+    "PhotoChecked",
+    "PhotoIdentified",
+    "PhotoStored",
+    "PhotoTie",
+    "PreflightFailed",
+    "PreflightPassed",
+    "ShotAccepted",
+    "ShotDeferred",
+    "ShotEvent",
+    "ShotExposed",
+    "ShotInterrupted",
+    "ShotMissed",
+    "ShotRejected",
+    "ShotRetaken",
+    "ShotRevoked",
+    "ShotSkipped",
+    "ShotStarted",
+    "UnknownEventError",
+    "Warned",
+    "event_from_json",
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -261,14 +219,6 @@ class MissionFinished(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ShotEvent(Event):
-    """Common fields of the events of one attempt at a shot; attempts count from 1 across rounds and restarts."""
-
-    shot: Whole
-    attempt: Whole
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ShotStarted(ShotEvent):
     """The slew to a shot begins; on disk before its trigger is sent.
 
@@ -394,102 +344,6 @@ class ShotSkipped(ShotEvent):
     """The shot was skipped by command."""
 
     reason: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PhotoIdentified(ShotEvent):
-    """More became known about an attempt's photos after its verdict (a file name, better evidence)."""
-
-    photos: tuple[Photo, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PhotoStored(ShotEvent):
-    """The file of a photo is in the mission directory, whole and on disk; also after the mission's end.
-
-    A later event for the same photo replaces an earlier one.
-
-    Attributes:
-        photo: number of the photo within its attempt, from 1.
-        file: path relative to the mission directory, below `images/`, with forward slashes.
-        size_bytes: its size.
-        sha256: of its content, 64 hexadecimal digits.
-        source: where it came from: `gphoto2`, `http`, `mavftp`, `local` (a folder of this computer) or `import`.
-        raw: path of the RAW file beside it; "" without one.
-        raw_sha256: of the RAW file's content.
-        exif: what it was taken with; None if it is no JPEG, or was stored by a version that did not read it.
-        differs: in what its settings differ from those of the mission's first stored photo.
-    """
-
-    photo: Whole = 1
-    file: str
-    size_bytes: Whole
-    sha256: str
-    source: str
-    raw: str = ""
-    raw_sha256: str = ""
-    exif: PhotoExif | None = None
-    differs: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PhotoTie:
-    """What ties a photo to another one.
-
-    Attributes:
-        shot: the other photo's.
-        points: how many points agree.
-        angle_deg: by how much the two measured attitudes contradict the content.
-    """
-
-    shot: Whole
-    points: Whole
-    angle_deg: Number
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PhotoChecked(ShotEvent):
-    """The content of a photo was examined; a later event for the same photo replaces an earlier one.
-
-    Attributes:
-        photo: number of the photo within its attempt, from 1.
-        verdict: `ok`, `geometry_only`, `unreadable`, `exposure`, `blurred`, `untied`, `contradicts` or `unchecked`
-            (docs/content.md).
-        reason: in words; "" for a good photo.
-        sharpness: fine detail relative to its neighbours; NaN without a comparison.
-        odd_deg: by how much the content contradicts the measured attitude, beyond what attitudes usually err.
-        error_deg: measured minus estimated attitude, about north, east and down.
-        ties: to its neighbours.
-    """
-
-    photo: Whole = 1
-    verdict: str
-    reason: str = ""
-    sharpness: Number = NAN
-    odd_deg: Number = 0.0
-    error_deg: tuple[Number, ...] = ()
-    ties: tuple[PhotoTie, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ContentJudged(Event):
-    """All photos that reached this computer were judged together.
-
-    Attributes:
-        edges: shots that are tied, in pairs one after the other.
-        groups: number of groups of photos that are tied to each other; photos that nothing ties are not counted.
-        bridges: ties without which a group falls apart, in pairs one after the other.
-        geometry_only: shots that hang on their measured attitude alone.
-        bad: shots whose photo does not count.
-        unchecked: shots whose photo was not examined.
-    """
-
-    edges: tuple[Whole, ...] = ()
-    groups: Whole = 0
-    bridges: tuple[Whole, ...] = ()
-    geometry_only: tuple[Whole, ...] = ()
-    bad: tuple[Whole, ...] = ()
-    unchecked: tuple[Whole, ...] = ()
 
 
 class EventSink(Protocol):

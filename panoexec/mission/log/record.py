@@ -5,162 +5,22 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
-from enum import StrEnum
+from dataclasses import replace
 
 import numpy as np
 
 from panoexec.angles import FloatArray, rotation, rotation_from_quaternion
 from panoexec.devices import EvidenceLevel
 from panoexec.mission.log import events as ev
+from panoexec.mission.log.pending_commands import PendingCommands
+from panoexec.mission.log.shot_record import AttemptRecord, ShotRecord, ShotStatus, Verdict
 from panoexec.mission.log.states import ENDED, MissionState, check_transition
 from panoexec.mission.pointing.poses import pose_of
 from panoexec.pictures.model import BAD
 from panoexec.planning.model import Shot
 
-
-class ShotStatus(StrEnum):
-    """The state of a shot."""
-
-    PENDING = "pending"
-    """Not taken yet, or to be taken again."""
-    ACTIVE = "active"
-    """An attempt is in progress, before its photo."""
-    EXPOSED = "exposed"
-    """The photo was triggered; its evidence is awaited."""
-    ACCEPTED = "accepted"
-    DEFERRED = "deferred"
-    """To be taken again after the others."""
-    SKIPPED = "skipped"
-    """Skipped by command."""
-    MISSED = "missed"
-    """All attempts used up."""
-
-
-class Verdict(StrEnum):
-    """The verdict on an attempt."""
-
-    OPEN = "open"
-    ACCEPTED = "accepted"
-    REJECTED = "rejected"
-    INTERRUPTED = "interrupted"
-
-
 _SHOWN_SETTINGS = 4
 """Photos with other settings than the first that a warning names."""
-
-
-@dataclass(slots=True, kw_only=True)
-class AttemptRecord:
-    """One attempt at a shot; updated by events."""
-
-    number: int
-    round: int
-    pitch_deg: float
-    yaw_deg: float
-    started_utc_s: float
-    seq: int = 0
-    """Number of the event that began it: the order of attempts, whatever the clock says."""
-    verdict: Verdict = Verdict.OPEN
-    by: str = ""
-    code: str = ""
-    reason: str = ""
-    exposed: ev.ShotExposed | None = None
-    photos: tuple[ev.Photo, ...] = ()
-    stored: dict[int, ev.PhotoStored] = field(default_factory=dict)
-    """The files in the mission directory, by number of the photo."""
-    checked: ev.PhotoChecked | None = None
-    """What the content of its photo proves; None if it was not examined."""
-
-    @property
-    def evidence(self) -> EvidenceLevel | None:
-        """The weakest evidence among its photos; None without a photo."""
-        return min((self.evidence_of(photo) for photo in self.photos), default=None)
-
-    def evidence_of(self, photo: ev.Photo) -> EvidenceLevel:
-        """The evidence of one of its photos: a stored file is the best there is."""
-        return EvidenceLevel.FILE_SEEN if photo.number in self.stored else photo.evidence
-
-
-@dataclass(slots=True, kw_only=True)
-class ShotRecord:
-    """One shot and all attempts at it."""
-
-    shot: Shot
-    status: ShotStatus = ShotStatus.PENDING
-    reason: str = ""
-    attempts: list[AttemptRecord] = field(default_factory=list)
-    patch: bool = False
-
-    @property
-    def accepted(self) -> AttemptRecord | None:
-        """The attempt that counts: the last accepted one."""
-        return next((a for a in reversed(self.attempts) if a.verdict is Verdict.ACCEPTED), None)
-
-    @property
-    def tries(self) -> int:
-        """Number of attempts, without those that a pause, a skip or an end broke off before their photo."""
-        return sum(attempt.verdict is not Verdict.INTERRUPTED for attempt in self.attempts)
-
-    @property
-    def is_retaken(self) -> bool:
-        """Whether the attempt that counts is not the first try."""
-        counts = self.accepted
-        return counts is not None and any(
-            attempt.verdict is not Verdict.INTERRUPTED for attempt in self.attempts[: counts.number - 1]
-        )
-
-    @property
-    def open_attempt(self) -> AttemptRecord | None:
-        """The attempt without a verdict, if there is one."""
-        return next((a for a in reversed(self.attempts) if a.verdict is Verdict.OPEN), None)
-
-
-@dataclass(slots=True)
-class PendingCommands:
-    """Commands that were accepted but not carried out yet; kept so that they survive a crash.
-
-    Attributes:
-        end: the command that ends the mission, `abort` or `finish`; "" for none.
-        reason: the reason given with it.
-        pause: the mission is to pause until `resume`.
-        skips: shots to skip whose attempt has no verdict yet.
-        repeats: shots to take again.
-    """
-
-    end: str = ""
-    reason: str = ""
-    pause: bool = False
-    skips: set[int] = field(default_factory=set)
-    repeats: set[int] = field(default_factory=set)
-
-    def apply(self, event: ev.Event) -> None:
-        """Add the command of an event, or remove commands that the event completes."""
-        match event:
-            case ev.CommandReceived():
-                self._take(event)
-            case ev.MissionStarted():
-                self.pause = False  # a start or resume ends the pause
-            case ev.ShotSkipped():
-                self.skips.discard(event.shot)
-                self.repeats.discard(event.shot)
-            case ev.ShotAccepted():
-                self.skips.discard(event.shot)
-            case ev.ShotStarted():  # from here on the shot's status is decisive
-                self.repeats.discard(event.shot)
-
-    def _take(self, event: ev.CommandReceived) -> None:
-        """Add a command; an abort overrides a finish."""
-        match event.command:
-            case "abort" | "finish" if self.end != "abort":
-                self.end, self.reason = event.command, event.reason
-            case "pause" | "resume":
-                self.pause = event.command == "pause"
-            case "skip" if event.shot is not None:
-                self.skips.add(event.shot)
-            case "repeat" if event.shot is not None:
-                self.skips.discard(event.shot)
-                self.repeats.add(event.shot)
 
 
 class MissionRecord:

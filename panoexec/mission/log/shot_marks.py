@@ -9,7 +9,8 @@ from itertools import groupby
 from typing import Final
 
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.record import MissionRecord, ShotRecord, ShotStatus
+from panoexec.mission.log.record import MissionRecord
+from panoexec.mission.log.shot_record import ShotRecord, ShotStatus
 
 
 class ShotMark(StrEnum):

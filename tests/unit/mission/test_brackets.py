@@ -6,7 +6,7 @@ import pytest
 
 from panoexec.mission.executor import Mission
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.record import Verdict
+from panoexec.mission.log.shot_record import Verdict
 from panoexec.mission.log.states import MissionState
 from tests.unit.fakes.flying import fly, pilot_hands_back, pilot_takes_over, until_photos
 from tests.unit.fakes.world import World, some_settings

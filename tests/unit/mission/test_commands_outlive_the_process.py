@@ -9,7 +9,8 @@ import pytest
 
 from panoexec.mission.executor import Mission
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.record import MissionRecord, ShotStatus
+from panoexec.mission.log.record import MissionRecord
+from panoexec.mission.log.shot_record import ShotStatus
 from panoexec.mission.log.states import MissionState
 from tests.unit.fakes.checks import check_mission
 from tests.unit.fakes.flying import until_event

@@ -13,7 +13,8 @@ import pytest
 from panoexec.errors import DeviceError
 from panoexec.mission.content_check import MOST_RETAKES, ContentCheck, PictureSource
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.record import MissionRecord, Verdict
+from panoexec.mission.log.record import MissionRecord
+from panoexec.mission.log.shot_record import Verdict
 from panoexec.optics import Camera
 from panoexec.pictures.model import Content, Judgement, TieGraph, TieLine, Verdicts
 from panoexec.planning.model import Shot

@@ -10,7 +10,7 @@ import pytest
 from panoexec.errors import MissionError
 from panoexec.mission.executor import Mission
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.record import Verdict
+from panoexec.mission.log.shot_record import Verdict
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.mission_requests import CommandRefusedError
 from tests.unit.fakes.flying import fly, until_event

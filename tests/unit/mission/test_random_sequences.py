@@ -17,7 +17,8 @@ import pytest
 from panoexec.devices import EvidenceLevel
 from panoexec.mission.executor import Mission
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.record import MissionRecord, Verdict
+from panoexec.mission.log.record import MissionRecord
+from panoexec.mission.log.shot_record import Verdict
 from panoexec.mission.log.states import FINISHED
 from panoexec.mission.mission_requests import CommandRefusedError
 from panoexec.mission.settings import GuardSettings

@@ -13,7 +13,8 @@ import pytest
 
 from panoexec.devices import EvidenceLevel
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.record import MissionRecord, ShotStatus, Verdict
+from panoexec.mission.log.record import MissionRecord
+from panoexec.mission.log.shot_record import ShotStatus, Verdict
 from panoexec.mission.log.states import MissionState
 from panoexec.planning.model import Shot
 from tests.unit.fakes.checks import check_mission

@@ -6,7 +6,7 @@ import pytest
 
 from panoexec.mission.executor import Mission
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.record import ShotStatus
+from panoexec.mission.log.shot_record import ShotStatus
 from panoexec.mission.log.states import MissionState
 from panoexec.planning.model import Hole, Shot
 from tests.unit.fakes.flying import drift_at, fly, until_event

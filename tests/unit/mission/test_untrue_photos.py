@@ -14,7 +14,7 @@ import random
 
 import pytest
 
-from panoexec.mission.log.record import AttemptRecord, Verdict
+from panoexec.mission.log.shot_record import AttemptRecord, Verdict
 from panoexec.mission.pointing.poses import read_pose
 from panoexec.planning.geometry.pose_error import pose_error
 from tests.unit.fakes.checks import check_announcements, check_end, check_states

@@ -9,7 +9,8 @@ import pytest
 from panoexec.devices import EvidenceLevel
 from panoexec.errors import MissionError
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.record import MissionRecord, Verdict
+from panoexec.mission.log.record import MissionRecord
+from panoexec.mission.log.shot_record import Verdict
 from panoexec.mission.log.states import IllegalTransitionError, MissionState
 from panoexec.planning.model import Shot
 

@@ -14,7 +14,7 @@ from panoexec.angles import wrap_180
 from panoexec.mission.executor import Mission
 from panoexec.mission.guards import GimbalControl, Situation, TurnGuard
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.record import Verdict
+from panoexec.mission.log.shot_record import Verdict
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.pointing.heading import AVERAGED_S, GAIN, HeadingController
 from panoexec.mission.settings import GuardSettings, MissionSettings
