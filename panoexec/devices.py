@@ -316,6 +316,7 @@ class VehicleStatus:
         position_ok: whether the estimator reports a valid global position.
         position_doubts: why the position is not to be trusted now, for the pilot; empty if nothing is reported.
         boot_count: number of reboots detected since the adapter started.
+        heartbeats: number of the autopilot's heartbeats since the adapter started; `mode` is that of the last one.
         unhealthy: names of the attitude and height sensors in use that are reported as unhealthy.
     """
 
@@ -332,6 +333,7 @@ class VehicleStatus:
     position_ok: bool = False
     position_doubts: tuple[str, ...] = ()
     boot_count: int = 0
+    heartbeats: int = 0
     unhealthy: tuple[str, ...] = ()
 
 

@@ -51,6 +51,7 @@ class MavsdkVehicle:
         self._armed = False
         self._in_air = False
         self._mode = ""
+        self._heartbeats = 0
         self._battery_frac = math.nan
         self._position = (math.nan,) * 5
         self._position_s = -math.inf
@@ -66,6 +67,7 @@ class MavsdkVehicle:
         latitude_deg, longitude_deg, altitude_m, relative_altitude_m, heading_deg = self._position
         fresh = time.monotonic() - self._position_s < _POSITION_STALE_S
         trusted = self._gps_ok if self._health.estimator_ok is None else self._health.estimator_ok
+        heartbeats = self._heartbeats  # before the mode, which may be newer then, but not older
         return VehicleStatus(
             connected=self._link.connected,
             armed=self._armed,
@@ -80,6 +82,7 @@ class MavsdkVehicle:
             position_ok=trusted and fresh,
             position_doubts=self._health.doubts,
             boot_count=self._link.boot_count,
+            heartbeats=heartbeats,
             unhealthy=self._unhealthy,
         )
 
@@ -169,6 +172,7 @@ class MavsdkVehicle:
         if mode is not None and mode != self._mode:
             self._hold_position = None  # the vehicle may have been flown elsewhere
             self._mode = mode
+        self._heartbeats += 1
 
     def _global_position(self, message: MavMessage) -> None:
         if message.component_id != AUTOPILOT:

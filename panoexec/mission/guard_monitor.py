@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from dataclasses import dataclass
 
 from panoexec.errors import DeviceError
 from panoexec.mission.context import MissionContext
@@ -23,12 +24,25 @@ RECLAIM_EVERY_S = 3.0
 ASK_CONTROL_EVERY_S = 1.0
 """Period at which the gimbal manager is asked who has control while that is unknown."""
 MODE_REPORT_S = 1.5
-"""How long a pause is not announced when the autopilot takes the gimbal: the flight mode that it does this for is in
-its next heartbeat (1 Hz)."""
-AUTOPILOT = 1
-"""Component id."""
+"""How long the flight mode is awaited after control of the gimbal was lost. An autopilot that takes or drops the gimbal
+for a flight mode tells the mode in its next heartbeat (1 Hz)."""
 CONTROL_CODES = ("gimbal_control", "gimbal_unknown", "gimbal_lost")
 _ENDED_BY_ACQUIRING = frozenset({"gimbal_control", "gimbal_lost"})
+
+
+@dataclass(slots=True, kw_only=True)
+class _Loss:
+    """Control of the gimbal was lost.
+
+    Attributes:
+        at_s: when it was noticed, on the mission's clock.
+        heartbeats: of the autopilot until then.
+        mode_told: whether another heartbeat has told the flight mode since.
+    """
+
+    at_s: float
+    heartbeats: int
+    mode_told: bool = False
 
 
 class GuardMonitor:
@@ -45,6 +59,7 @@ class GuardMonitor:
         self._north_told = False
         self._strangers_told: set[int] = set()
         self._boots = context.vehicle.status.boot_count
+        self._loss: _Loss | None = None
 
     async def watch(self) -> None:
         """Evaluate the guards while the mission is capturing or paused; runs until cancelled."""
@@ -78,6 +93,7 @@ class GuardMonitor:
             holding=frozenset(context.requests.holds),
             turn_modes=None if context.heading_controller is None else context.heading_controller.modes,
         )
+        self._look_at_loss(situation)
         found = {f.code: f for guard in self._guards if (f := guard.check(situation)) is not None}
         if any(finding.release for finding in found.values()):
             # the gimbal is given up anyway: that an autopilot takes it for its own mode says nothing more
@@ -89,6 +105,19 @@ class GuardMonitor:
         for code in [code for code, hold in context.requests.holds.items() if not hold.finding.retry]:
             if code not in found:
                 context.requests.clear(code, now_s=now, clear_s=context.settings.guards.clear_s)
+
+    def _look_at_loss(self, situation: Situation) -> None:
+        """Note when control of the gimbal was lost, and whether the flight mode was told since.
+
+        By the status that the guards have read: a mode in which the mission may not act has its finding by then.
+        """
+        control, heartbeats = situation.control, situation.vehicle.heartbeats
+        if control is GimbalControl.OURS or not (self._touched and self._context.record.gimbal_held):
+            self._loss = None
+        elif self._loss is not None:
+            self._loss.mode_told |= heartbeats != self._loss.heartbeats
+        elif control is not GimbalControl.UNKNOWN:
+            self._loss = _Loss(at_s=situation.now_s, heartbeats=heartbeats)
 
     def _look_at_north(self) -> None:
         """Tell once if gimbal and autopilot contradict each other about the vehicle's heading."""
@@ -132,7 +161,7 @@ class GuardMonitor:
                     context.eta.restart(context.clock.monotonic())
                     return
                 continue
-            waits = self._awaits_mode() and context.clock.monotonic() - began < MODE_REPORT_S
+            waits = self._awaits_mode()
             if tuple(requests.holds) != announced and not waits:
                 announced = tuple(requests.holds)
                 self._announce()
@@ -145,15 +174,17 @@ class GuardMonitor:
             if self._is_control_unknown() and now - asked_s >= ASK_CONTROL_EVERY_S:
                 asked_s = now
                 await self._ask_control()
-            if self._may_acquire() and now >= self._acquire_at_s(began, acquired_s):
+            if not waits and self._may_acquire() and now >= self._acquire_at_s(began, acquired_s):
                 acquired_s = now
                 await self.acquire()
-            await until(context.clock.sleep(TICK_S), requests.changed.wait(), "paused")
+            await until(context.clock.sleep(WATCH_S if waits else TICK_S), requests.changed.wait(), "paused")
 
     def _awaits_mode(self) -> bool:
-        """Whether all that is known is that the autopilot took the gimbal: its new flight mode is about to be told."""
-        requests, holder = self._context.requests, self._context.gimbal.controlled_by
-        return requests.holds.keys() == {"gimbal_control"} and holder is not None and holder[1] == AUTOPILOT
+        """Whether control of the gimbal was lost, and the flight mode that this may be for is not told yet."""
+        loss, holds = self._loss, self._context.requests.holds
+        if loss is None or loss.mode_told or holds.keys().isdisjoint(_ENDED_BY_ACQUIRING):
+            return False
+        return self._context.clock.monotonic() - loss.at_s < MODE_REPORT_S
 
     def _announce(self) -> None:
         holds = self._context.requests.holds

@@ -23,7 +23,7 @@ SHOTS: Final = 3
 ATTEMPTS: Final = 8
 """How many attempts in a row must fail alike: where one of five is refused at random, that is once in 390 000."""
 FOREIGN_ATTEMPTS: Final = 2
-"""The same for another station that points the gimbal, which is no matter of chance."""
+"""The same for another station that points the gimbal, which is no matter of chance: since the last accepted photo."""
 SPREAD_FRAC: Final = 0.25
 """How far offsets may differ, as a fraction of their size, or by τ if that is more."""
 ELSEWHERE_DEG: Final = 5.0
@@ -92,14 +92,24 @@ class SystematicFailure:
         self._attempts = 0
         self._shots: dict[int, float] = {}
         self._elsewhere: dict[int, int] = {}
+        self._foreign: dict[int, int] = {}
 
     @property
     def shots(self) -> tuple[int, ...]:
         """The shots of the run, in the order of their first failure."""
-        return tuple(dict.fromkeys([*self._elsewhere, *self._shots]))
+        return tuple(dict.fromkeys([*self._elsewhere, *self._foreign, *self._shots]))
 
     def reset(self) -> None:
-        """An attempt ended otherwise, or the operator has resumed the mission."""
+        """A photo was accepted, or the operator has resumed the mission."""
+        self._ended_otherwise()
+        self._foreign.clear()
+
+    def _ended_otherwise(self) -> None:
+        """Begin the run anew.
+
+        Another station that points the gimbal also spoils exposures after the gimbal has settled: they do not end the
+        count of its attempts.
+        """
         self._cause, self._offset, self._attempts = None, None, 0
         self._shots.clear()
         self._elsewhere.clear()
@@ -119,8 +129,10 @@ class SystematicFailure:
         if (offset is not None and by_pose and not _beyond(offset, self._tolerance)) or not (
             by_pose or code in _ADVICE
         ):
-            self.reset()
+            self._ended_otherwise()
             return None
+        if code == "foreign":
+            return self._count_foreign(shot, reason)
         elsewhere = code != "stale" and self._count_elsewhere(shot, offset if by_pose else None)
         cause = ("offset", "") if by_pose else (code, re.sub(r"[-+]?\d+(\.\d+)?", "#", reason))
         same = cause == self._cause
@@ -131,10 +143,20 @@ class SystematicFailure:
             self._shots.clear()
         self._attempts += 1
         self._shots.setdefault(shot.index, shot.yaw_deg)
-        enough = self._attempts >= FOREIGN_ATTEMPTS if code == "foreign" else self._attempts >= ATTEMPTS
-        if not enough or (code != "foreign" and self._different_shots() < SHOTS):
+        if self._attempts < ATTEMPTS or self._different_shots() < SHOTS:
             return self._elsewhere_finding(reason) if elsewhere else None
         return self._finding(code, reason)
+
+    def _count_foreign(self, shot: Shot, reason: str) -> Finding | None:
+        """Take an attempt at which another station pointed the gimbal."""
+        self._ended_otherwise()
+        self._foreign[shot.index] = self._foreign.get(shot.index, 0) + 1
+        attempts = sum(self._foreign.values())
+        if attempts < FOREIGN_ATTEMPTS:
+            return None
+        hold, advice = _ADVICE["foreign"]
+        text = f"the same failure at {len(self._foreign)} shots ({attempts} attempts): {reason}"
+        return Finding(code=hold, reason=f"{text}; {advice}, then resume", automatic=False, retry=True)
 
     def _count_elsewhere(self, shot: Shot, offset: Offset | None) -> bool:
         """Whether so many poses in a row had nothing to do with their targets, however they differ."""

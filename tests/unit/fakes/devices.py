@@ -401,9 +401,9 @@ class FakeCamera:
 
 @dataclass
 class FakeVehicle:
-    """A vehicle that hovers."""
+    """A vehicle that hovers; its heartbeats come each full second."""
 
-    status: VehicleStatus = field(
+    _status: VehicleStatus = field(
         default_factory=lambda: VehicleStatus(
             connected=True,
             armed=True,
@@ -420,6 +420,8 @@ class FakeVehicle:
     )
     said: list[tuple[Severity, str]] = field(default_factory=list)
     deaf: bool = False
+    silent: bool = False
+    """No more heartbeats."""
     clock: Clock | None = None
     turn_modes: tuple[str, ...] = ("OFFBOARD",)
     offset_deg: Callable[[float], float] = lambda _: 0.0
@@ -432,6 +434,12 @@ class FakeVehicle:
     _from_deg: float = math.nan
     _to_deg: float = math.nan
     _since: float = -math.inf
+
+    @property
+    def status(self) -> VehicleStatus:
+        if self.clock is not None and not self.silent:
+            self._status = replace(self._status, heartbeats=math.floor(self.clock.monotonic()))
+        return self._status
 
     def heading(self, at_s: float) -> float:
         """Where the nose points at a time, not wrapped."""
@@ -468,4 +476,4 @@ class FakeVehicle:
         self.said.append((severity, text))
 
     def change(self, **changes: object) -> None:
-        self.status = replace(self.status, **changes)  # type: ignore[arg-type]
+        self._status = replace(self._status, **changes)  # type: ignore[arg-type]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -55,6 +56,47 @@ def test_a_gimbal_that_nobody_has_any_more_is_acquired_again(settings: MissionSe
     assert [(event.code, event.automatic) for event in world.sink.of(ev.MissionPaused)] == [("gimbal_lost", True)]
     assert world.sink.of(ev.MissionResumed)[0].paused_s < 2.0
     assert world.gimbal.acquired == 2
+
+
+@pytest.mark.parametrize("settings", [NEVER, some_settings()])
+@pytest.mark.parametrize("other", [(0, 0), (1, 1)])
+@pytest.mark.parametrize("before_s", [0.05, 0.5, 0.95])
+def test_an_autopilot_that_drops_or_takes_the_gimbal_for_a_mode_of_the_pilot_keeps_it(
+    settings: MissionSettings, other: tuple[int, int], before_s: float
+) -> None:
+    """The mode is told by the next heartbeat only: PX4's RTL drops the gimbal before."""
+
+    async def script(world: World, mission: Mission) -> None:
+        await until_event(world, ev.ShotStarted, 2)
+        await world.clock.sleep(math.floor(world.clock.monotonic()) + 2.0 - before_s - world.clock.monotonic())
+        world.gimbal.in_control, world.gimbal.other = False, other
+        await world.clock.sleep(before_s)
+        world.vehicle.change(mode="RETURN_TO_LAUNCH")
+        await world.clock.sleep(10.0)
+        assert world.gimbal.acquired == 1
+        world.gimbal.other = (0, 0)
+        world.vehicle.change(mode="HOLD")
+        await world.clock.sleep(2.0)
+        mission.commands.resume()
+
+    world = fly(script, settings=settings)
+    assert world.record.state is S.COMPLETE
+    assert [event.code for event in world.sink.of(ev.MissionPaused)] == ["pilot"]
+
+
+def test_a_lost_gimbal_is_acquired_again_without_a_heartbeat_after_a_moment() -> None:
+    """The link guard answers for heartbeats that stay away."""
+
+    async def script(world: World, mission: Mission) -> None:
+        await until_event(world, ev.ShotStarted, 2)
+        world.vehicle.silent = True
+        world.gimbal.in_control, world.gimbal.other = False, (0, 0)
+
+    world = fly(script)
+    assert world.record.state is S.COMPLETE
+    lost = next(event for event in world.sink.of(ev.MissionPaused))
+    assert lost.code == "gimbal_lost"
+    assert 1.4 < world.sink.of(ev.MissionResumed)[0].paused_s < 2.0
 
 
 def test_a_manager_that_refuses_what_nobody_has_is_asked_again_and_again() -> None:

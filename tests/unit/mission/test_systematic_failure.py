@@ -219,3 +219,18 @@ def test_another_station_that_points_the_gimbal_pauses_at_the_second_attempt() -
     assert found is not None
     assert (found.code, found.automatic, found.retry) == ("foreign", False, True)
     assert "another station points the gimbal" in found.reason
+
+
+def test_exposures_that_another_station_spoils_do_not_end_the_count_of_its_attempts() -> None:
+    run = SystematicFailure(TOLERANCE)
+    reason = "another station points the gimbal: it came to rest at pitch -70.0°, yaw 20.0°, 49° from its target"
+    off = Offset(pitch_deg=-12.0, roll_deg=0.0, yaw_deg=3.0)
+    assert run.rejected(shot(3), code="foreign", reason=reason) is None
+    assert run.rejected(shot(4), code="pointing", reason="left its target", offset=off) is None
+    assert run.rejected(shot(4), code="no_samples", reason="a gap") is None
+    found = run.rejected(shot(5), code="foreign", reason=reason)
+    assert found is not None
+    assert found.code == "foreign"
+    assert run.shots == (3, 5)
+    run.reset()  # a photo was accepted
+    assert run.rejected(shot(6), code="foreign", reason=reason) is None
