@@ -121,6 +121,14 @@ FAULTS: dict[str, Fault] = {
     "clock-jump": Fault(kind=Kind.ONCE, text="the vehicle's UTC jumps by the size", size=3600.0, unit="s"),
 }
 
+CONTENT_FAULTS = frozenset(
+    {
+        *("photo-black", "photo-dark", "photo-blur", "photo-defocus", "photo-truncated", "photo-damaged"),
+        *("photo-swapped", "photo-stale", "attitude-lie"),
+    }
+)
+"""Faults that only the content of the photos tells of."""
+
 AUTOPILOT_FAULTS = frozenset({"link-loss", "reboot", "control-stolen", "mode-change", "gps-lost", "rtl", "battery-low"})
 """Faults of the embedded autopilot, not available with a real one."""
 

@@ -117,7 +117,7 @@ async def test_what_was_under_way_when_the_daemon_was_killed_is_brought_after_it
                 process.kill()
                 await process.wait()
             assert not _is_whole(mission), "it was killed too late"
-            assert not any(path.suffix not in {".jpg", ""} for path in (mission / "images").glob("*"))
+            assert {path.suffix for path in (mission / "images").glob("*")} <= {".jpg", ".xmp", ""}
             async with serving(tmp_path, broker, port, more=more, speedup=_SPEEDUP):
                 await ground.until(lambda: _is_whole(mission) and not (mission / ".incoming").exists())
                 told = json.loads((mission / "manifest.json").read_text())["journal"]["events"]

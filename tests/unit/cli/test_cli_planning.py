@@ -189,7 +189,7 @@ class TestCameras:
     def test_the_list(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert run(["cameras", "--json"]) == 0
         profiles = json.loads(capsys.readouterr().out)
-        assert len(profiles) == 12
+        assert len(profiles) == 20
         assert {"name", "hfov_deg", "vfov_deg", "source", "min_interval_s", "orientation"} <= profiles[0].keys()
         assert run(["cameras"]) == 0
         out = capsys.readouterr().out

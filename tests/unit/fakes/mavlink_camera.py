@@ -201,7 +201,7 @@ class FakeLink:
             model_name="1",
             horizontal_resolution_px=6000,
             vertical_resolution_px=4000,
-            focal_length_mm=15.0,
+            focal_length_mm=math.nan,
         )
         listed = SimpleNamespace(cameras=[information])
         return SimpleNamespace(

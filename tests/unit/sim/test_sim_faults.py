@@ -7,7 +7,7 @@ import itertools
 import pytest
 
 from panoexec.errors import UsageError
-from panoexec.sim.faults import FAULTS, Faults, FaultSpec, Kind, parse_fault
+from panoexec.sim.faults import CONTENT_FAULTS, FAULTS, Faults, FaultSpec, Kind, parse_fault
 
 ISSUE_NAMES = {
     "link-loss",
@@ -31,6 +31,7 @@ ISSUE_NAMES = {
     "rtl",
     "gust",
     "clock-jump",
+    *CONTENT_FAULTS,
 }
 
 
