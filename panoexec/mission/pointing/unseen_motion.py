@@ -23,7 +23,12 @@ from panoexec.planning.model import Tolerance
 DENSE_GAP_S: Final = 0.1
 """Readings that are closer leave no room for a motion between them, but one that shows in their differences."""
 NOISE_STEP_DEG: Final = 0.1
-"""Differences of two readings that are closer than this are noise of encoders."""
+"""Differences of two readings within this are noise of encoders."""
+NOISE_RMS_DEG: Final = 0.07
+"""So are larger ones, up to `JOLT_DEG`, while the root mean square of all of an exposure is within this: encoder and
+airframe of 0.02° each make 0.04°, in which 0.1° comes now and then."""
+JOLT_DEG: Final = 0.2
+"""A single difference above this is a motion."""
 HEADING_LAG_S: Final = 0.03
 """How much older than the gimbal's report the vehicle's heading in it may be."""
 _AXES: Final = ("pitch", "roll", "yaw")
@@ -40,7 +45,7 @@ def unseen_error(
     * more than `DENSE_GAP_S` apart, half the gap times the angular speed (the larger of the reported ones and the one
       from reading to reading);
     * else half of the largest difference between two neighbours (a nose that shakes at 15 Hz shows 50 readings a second
-      with differences of its amplitude, and its peaks are between them); differences within `NOISE_STEP_DEG` count 0;
+      with differences of its amplitude, and its peaks are between them); differences that are noise count 0;
     * and in yaw `heading_lag_s` times its mean speed.
 
     Args:
@@ -79,7 +84,8 @@ def slope(times: FloatArray, values: FloatArray) -> float:
 def _largest_step_deg(values: FloatArray, dense: NDArray[np.bool_]) -> float:
     steps = np.abs(np.diff(values))[dense]
     largest = float(steps.max()) if len(steps) else 0.0
-    return largest if largest > NOISE_STEP_DEG else 0.0
+    shakes = largest > JOLT_DEG or math.sqrt(float(steps @ steps)) > NOISE_RMS_DEG * math.sqrt(max(1, len(steps)))
+    return largest if largest > NOISE_STEP_DEG and shakes else 0.0
 
 
 def _between_deg(a: Reading, b: Reading) -> float:

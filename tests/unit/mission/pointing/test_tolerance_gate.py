@@ -436,6 +436,17 @@ def test_noise_of_the_encoders_is_no_motion() -> None:
     assert _judge(noisy)[0]
 
 
+def test_noise_of_encoder_and_airframe_rejects_no_exposure_whose_samples_are_inside() -> None:
+    """0.1° from one sample to the next comes now and then: it cost a photo in every second panorama of 18."""
+    rng = np.random.default_rng(7)
+    reasons = []
+    for _ in range(1000):
+        noise = rng.normal(0.0, 0.026, size=len(_stream()))
+        noisy = [_reading(r.time_s, pitch=0.02 + float(e)) for r, e in zip(_stream(), noise, strict=True)]
+        reasons.append(_judge(noisy)[2])
+    assert sum("between two samples" in reason for reason in reasons) <= 1
+
+
 def test_a_heading_of_another_time_is_off_by_what_the_vehicle_turned_in_between() -> None:
     turning = [_reading(r.time_s, yaw=0.4 + 4.0 * (r.time_s - 1.2)) for r in _stream()]  # 0.4° at the end, at 4°/s
     for lag_s, ok in ((0.0, True), (0.02, True), (0.03, False)):
