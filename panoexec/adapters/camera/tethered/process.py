@@ -23,7 +23,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from panoexec.adapters.camera.tethered.library import CameraError, Library, guard_standard_input
+from panoexec.adapters.camera.tethered.libgphoto2 import CameraError, Library, guard_standard_input
 
 _PR_SET_PDEATHSIG: Final = 1
 _POLL_MS: Final = 1
