@@ -96,7 +96,8 @@ def test_a_lost_gimbal_is_acquired_again_without_a_heartbeat_after_a_moment() ->
     assert world.record.state is S.COMPLETE
     lost = next(event for event in world.sink.of(ev.MissionPaused))
     assert lost.code == "gimbal_lost"
-    assert 1.4 < world.sink.of(ev.MissionResumed)[0].paused_s < 2.0
+    # 1.5 s for a heartbeat that does not come, and 1 s for which the control must have been ours again
+    assert 2.4 < world.sink.of(ev.MissionResumed)[0].paused_s < 3.0
 
 
 def test_a_manager_that_refuses_what_nobody_has_is_asked_again_and_again() -> None:
