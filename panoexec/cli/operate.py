@@ -19,7 +19,6 @@ from panoexec.cli.output import print_json
 from panoexec.cli.requesting import ask, exit_code, plan_document, report_error
 
 Data = dict[str, Any]
-INTERMIXED: Final = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -62,7 +62,7 @@ def _beyond(offset: Offset, tolerance: Tolerance) -> tuple[str, ...]:
 
 def _alike(offset: Offset, other: Offset, tolerance: Tolerance) -> bool:
     """Whether both exceed the tolerance about the same axes, in the same direction and by about the same size."""
-    if set(_beyond(offset, tolerance)) != set(_beyond(other, tolerance)):
+    if _beyond(offset, tolerance) != _beyond(other, tolerance):
         return False
     return all(
         abs(float(wrap_180(getattr(offset, axis) - getattr(other, axis))))
