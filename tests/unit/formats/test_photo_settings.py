@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+import struct
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +50,15 @@ def test_damage_is_read_as_settings_that_are_not_told(tmp_path: Path, at: int, g
     path.write_bytes((PHOTO[:at] + garbage + PHOTO[at + len(garbage) :])[:end])
     found = read_settings(path)
     assert found is None or isinstance(found, PhotoExif)
+    numbers = [value for value in astuple(found) if isinstance(value, float)] if found else []
+    assert all(math.isfinite(value) for value in numbers)  # they become JSON
+
+
+def test_a_setting_that_is_zero_by_zero_is_not_told(tmp_path: Path) -> None:
+    rational = struct.pack(">II", 1, 500)
+    assert PHOTO.count(rational) == 1
+    (tmp_path / "a.jpg").write_bytes(PHOTO.replace(rational, bytes(8)))
+    assert read_settings(tmp_path / "a.jpg") == replace(SETTINGS, exposure_s=None)
 
 
 def test_differences_are_named_and_roundings_are_none() -> None:

@@ -25,8 +25,9 @@ def _values(hint: Any) -> st.SearchStrategy[Any]:
         if args[-1] is Ellipsis:
             return st.lists(_values(args[0]), max_size=3).map(tuple)
         return st.tuples(*(_values(arg) for arg in args))
-    if origin is not None:  # X | None
-        return st.none() | _values(next(arg for arg in args if arg is not type(None)))
+    if origin is not None:  # X | None: where None says "unknown", a number is a number
+        known = next(arg for arg in args if arg is not type(None))
+        return st.none() | (st.floats(allow_nan=False, allow_infinity=False) if known is float else _values(known))
     if hint is float:
         return FLOATS
     if hint is str:
