@@ -78,6 +78,7 @@ class MissionShot:
         target: planned attitude.
         accepted: the attempt that counts; None if the shot has no accepted photo.
         attempts: in the order made.
+        bridge: the two shots whose photos it was added to tie; None for other shots.
     """
 
     index: int
@@ -88,6 +89,7 @@ class MissionShot:
     target: Attitude
     accepted: Attempt | None
     attempts: tuple[Attempt, ...]
+    bridge: tuple[int, int] | None = None
 
     @property
     def attitude(self) -> Attitude | None:
@@ -217,6 +219,7 @@ def _shot(entry: Mapping[str, Any], folder: Path) -> MissionShot:
         target=_attitude(entry["target"]),
         accepted=None if accepted is None else next(attempt for attempt in attempts if attempt.number == accepted),
         attempts=attempts,
+        bridge=None if not entry.get("bridge") else (int(entry["bridge"][0]), int(entry["bridge"][1])),
     )
 
 

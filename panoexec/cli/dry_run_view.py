@@ -98,7 +98,7 @@ class MissionView:
         if marks != self._marks:
             self._shots, self._marks = [shot.shot for _, shot in sorted(record.shots.items())], marks
 
-    def on_event(self, event: ev.Event) -> None:  # noqa: C901  (one case per event type)
+    def on_event(self, event: ev.Event) -> None:  # noqa: C901, PLR0912  (one case per event type)
         """Show an event."""
         match event:
             case ev.ShotRejected():
@@ -121,6 +121,8 @@ class MissionView:
                 self._line(f"warning: {event.text}")
             case ev.PatchPlanned():
                 self._line(f"{len(event.shots)} patch shots for {event.holes} holes")
+            case ev.BridgePlanned():
+                self._line(f"{len(event.shots)} bridge shots between photos that share too little")
             case _:
                 pass
         if self._progress is not None and self._bar is not None and self._mission is not None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sized
 from collections.abc import Set as AbstractSet
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
@@ -24,6 +24,7 @@ import structlog
 from panoexec.angles import quaternion_from_rotation, rotation
 from panoexec.clock import work
 from panoexec.errors import PanoexecError
+from panoexec.mission.bridging import Bridging
 from panoexec.mission.context import MissionContext
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.shot_record import AttemptRecord, ShotRecord, Verdict
@@ -31,7 +32,7 @@ from panoexec.mission.protocols import PictureChecker
 from panoexec.optics import Camera
 from panoexec.pictures.model import BAD, Content, Judgement, Verdicts
 
-MOST_RETAKES: Final = 6
+MOST_RETAKES: Final = 10
 """So often a shot is taken again for its content; then the verdict stays, and the panorama is incomplete."""
 _LOOK_S: Final = 0.25
 _NO_FILE_S: Final = 10.0
@@ -83,6 +84,7 @@ class ContentCheck:
         self._context = context
         self._source = source if context.settings.pictures != "off" else None
         self._revoke = revoke
+        self._bridging = Bridging(context)
         self._checker: PictureChecker | None = None
         self._ended = self._source is None
         self._attempt_of: dict[int, int] = {}
@@ -110,7 +112,7 @@ class ContentCheck:
             self._checker, self._ended = None, True
 
     async def settle(self) -> None:
-        """Wait for files that are still to come, and judge all photos; afterwards, bad ones are queued again."""
+        """Wait for files that are still to come, and judge all photos; afterwards, bad ones and bridges are queued."""
         context, loop = self._context, asyncio.get_running_loop()
         if self._ended:
             return
@@ -129,13 +131,28 @@ class ContentCheck:
             if checker is None or context.requests.stop is not None or not self._attempt_of or more:
                 return
             try:
-                verdicts = await checker.judge(final=True)
-                again = await self._apply(verdicts, checker, final=True)
+                await self._judge(checker)
             except PanoexecError as error:
                 _log.warning("photos are not judged", error=str(error))
+
+    async def _judge(self, checker: PictureChecker) -> None:
+        """Judge all photos; conclude if nothing was queued because of it."""
+        queue = self._context.queue
+        while True:
+            verdicts = await checker.judge(final=True)
+            again = await self._apply(verdicts, checker, final=True)
+            if not again and self._may_retake(verdicts.bad, len(verdicts.photos)):
+                if await self._bridging.plan(checker):
+                    return
+                # what no bridge can help is taken again after all
+                again = self._bridging.close() and await self._apply(verdicts, checker, final=True)
+            if not again:
+                break
+            if len(queue):
                 return
-        if not again:
-            self._conclude(verdicts)
+            # a photo was given up: what remains is judged without it
+        self._conclude(verdicts)
+        self._bridging.tell()
 
     # --- one photo after the other
 
@@ -229,18 +246,38 @@ class ContentCheck:
                 bad.append((shot, number, judged))
         if not self._may_retake(bad, len(verdicts.photos)):
             return False
-        revoked = []
-        for shot, number, judged in bad:
-            if self._retakes[shot] < MOST_RETAKES:
-                self._retakes[shot] += 1
-                del self._attempt_of[shot]
-                revoked.append(shot)
-                self._revoke(shot, number, judged.verdict.value, judged.reason, ())
+        revoked = self._take_back(bad)
         if revoked:
             await checker.drop(revoked)
         return bool(revoked)
 
-    def _may_retake(self, bad: list[tuple[int, int, Judgement]], checked: int) -> bool:
+    def _take_back(self, bad: list[tuple[int, int, Judgement]]) -> list[int]:
+        record = self._context.record
+        revoked = []
+        for shot, number, judged in bad:
+            if record.shots[shot].between is not None and self._retakes[shot]:
+                self._give_up(shot, number, judged)
+            elif self._retakes[shot] < MOST_RETAKES and not self._waits_for_bridge(shot, judged):
+                self._retakes[shot] += 1
+                self._revoke(shot, number, judged.verdict.value, judged.reason, ())
+            else:
+                continue
+            del self._attempt_of[shot]
+            revoked.append(shot)
+        return revoked
+
+    def _waits_for_bridge(self, shot: int, judged: Judgement) -> bool:
+        """Whether a second photo that nothing ties is kept until the end: a bridge is more likely to help."""
+        before = any(attempt.code == Content.UNTIED.value for attempt in self._context.record.shots[shot].attempts)
+        return judged.verdict is Content.UNTIED and before and self._bridging.may_help(shot)
+
+    def _give_up(self, shot: int, number: int, judged: Judgement) -> None:
+        """Nothing hangs on a bridge shot: a bad one is not taken again and again, and counts for nothing."""
+        code, reason = judged.verdict.value, judged.reason
+        self._context.recorder.emit(ev.ShotRevoked(shot=shot, attempt=number, code=code, reason=reason))
+        self._context.recorder.emit(ev.ShotMissed(shot=shot, attempt=number, reason=f"a bridge that fails: {reason}"))
+
+    def _may_retake(self, bad: Sized, checked: int) -> bool:
         """Whether bad photos are taken again: not when most are bad, because retakes would not be better."""
         if self._context.settings.pictures != "retake" or self._context.requests.must_end_shooting:
             return False

@@ -48,20 +48,22 @@ class Ending:
             context.recorder.emit(ev.MissionPaused(code="interrupted", reason=stop.reason), MissionState.PAUSED)
             return
         missing = record.missing()
+        # nothing hangs on a bridge shot: it adds a tie or nothing
+        lost = [shot for shot in missing if record.shots[shot].between is None]
         certified = None if self.certificate is None else self.certificate.certified
         if stop is not None:
             state = MissionState.ABORTED if stop.kind == "abort" else MissionState.FAILED
             reason = stop.reason
-        elif not missing and (hole := self._hole()) is not None:
+        elif not lost and (hole := self._hole()) is not None:
             state = MissionState.INCOMPLETE
             reason = (
                 f"every shot was accepted, but the measured attitudes leave a hole of {hole.size_deg:.2g}° at elevation"
                 f" {hole.elevation_deg:.1f}°, azimuth {hole.azimuth_deg:.1f}°"
             )
-        elif not missing and record.bad_photos():
-            state, reason = MissionState.INCOMPLETE, f"every shot was accepted, but {_said(record)}"
-        elif not missing:
-            state, reason = MissionState.COMPLETE, f"every shot was accepted{_proved(record)}"
+        elif not lost and record.bad_photos():
+            state, reason = MissionState.INCOMPLETE, f"{_all_but(len(missing))} accepted, but {_said(record)}"
+        elif not lost:
+            state, reason = MissionState.COMPLETE, f"{_all_but(len(missing))} accepted{_proved(record)}"
         elif certified and not record.bad_photos():
             state = MissionState.COMPLETE
             reason = f"{len(missing)} shots are missing, but the measured attitudes prove the panorama complete"
@@ -108,6 +110,11 @@ class Ending:
         return True
 
 
+def _all_but(bridges: int) -> str:
+    """Begin of a sentence about all shots; bridge shots that were not taken are named."""
+    return f"every shot but {bridges} bridge shots was" if bridges else "every shot was"
+
+
 def _said(record: MissionRecord) -> str:
     """Which photos do not count, and why."""
     bad = record.bad_photos()
@@ -126,6 +133,9 @@ def _proved(record: MissionRecord) -> str:
         parts.append(f"{len(content.geometry_only)} photos are proved by geometry only")
     if content.unchecked:
         parts.append(f"the content of {len(content.unchecked)} is unchecked")
+    failed = [shot for shot, tied in record.bridge_ties().items() if len(tied) < 2]
+    if failed:
+        parts.append(f"{len(failed)} bridge shots do not tie what they were to tie")
     if content.groups > 1:
         parts.append(f"the photos are tied in {content.groups} groups that only geometry connects")
     return "; " + "; ".join(parts) if parts else "; their content is good"

@@ -56,6 +56,7 @@ _WARNING_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
         "open_loop": "no gimbal feedback, poses unverified",
         "position": "moved since the first shots: parallax",
         "battery_estimate": "battery too small for all shots",
+        "untied": "some photos stay untied",
     }
 )
 
@@ -89,6 +90,8 @@ def pilot_message_for(event: ev.Event, record: MissionRecord) -> PilotMessage | 
             return PilotMessage(f"continues at {done}", Severity.NOTICE)
         case ev.PatchPlanned():
             return PilotMessage(f"{len(event.shots)} more shots to close holes", Severity.INFO)
+        case ev.BridgePlanned():
+            return PilotMessage(f"{len(event.shots)} more shots to tie photos", Severity.INFO)
         case ev.Warned():
             return PilotMessage(_WARNING_TEXTS.get(event.code, event.text), Severity.WARNING)
         case ev.GimbalContradicted():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -10,7 +10,7 @@ from panoexec.angles import FloatArray
 from panoexec.devices import RecalledPhotos
 from panoexec.formats.photo_settings import PhotoExif
 from panoexec.mission.log.events import Event
-from panoexec.pictures.model import Content, Verdicts
+from panoexec.pictures.model import BridgePose, Content, Verdicts
 from panoexec.planning.model import Certificate, Shot, TurnLimits
 
 
@@ -64,6 +64,12 @@ class PictureChecker(Protocol):
 
     async def judge(self, *, final: bool = False) -> Verdicts:
         """The verdicts on all photos; `final`: no more are to come."""
+        ...
+
+    async def bridges(
+        self, *, tried: Collection[frozenset[int]], pitch_deg: tuple[float, float], most: int
+    ) -> list[BridgePose]:
+        """Poses that may tie photos which share too little (`panoexec.pictures.bridging.bridge_poses`)."""
         ...
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -13,11 +13,12 @@ import PIL.Image
 
 from panoexec.angles import FloatArray
 from panoexec.optics import Camera
+from panoexec.pictures.bridging import Bank, bridge_poses
 from panoexec.pictures.decoding import UnreadableError, decode
-from panoexec.pictures.features import Exposure, Features, features_of
+from panoexec.pictures.features import DISTINCT_CORNER, Exposure, Features, features_of
 from panoexec.pictures.judgement import Limits, Pair, Subject, judge
 from panoexec.pictures.matching import SEARCH_DEG, Tie, View, tie
-from panoexec.pictures.model import Content, PhotoToCheck, Verdicts
+from panoexec.pictures.model import BAD, BridgePose, Content, PhotoToCheck, Verdicts
 from panoexec.planning.geometry.overlap import pairwise_overlap
 
 EXAMINED_PX: Final = 1000
@@ -175,6 +176,31 @@ class Examiner:
                 )
             )
         return judge(subjects, self._ties, self._limits, final=final)
+
+    def bridges(
+        self,
+        *,
+        tried: Collection[frozenset[int]] = (),
+        pitch_deg: tuple[float, float] = (-90.0, 90.0),
+        most: int,
+    ) -> list[BridgePose]:
+        """Poses that may tie photos which share too little: `bridging.bridge_poses`, whose arguments these are."""
+        verdicts = self.verdicts(final=True)
+        group = {shot: number for number, shots in enumerate(verdicts.graph.groups) for shot in shots}
+        banks = {}
+        for number, (shot, own) in enumerate(self._photos.items()):
+            verdict = verdicts.photos[shot].verdict
+            if own.features is None or (verdict in BAD and verdict is not Content.UNTIED):
+                continue
+            features = own.features
+            width, height = features.size
+            places = features.corners[features.strength >= DISTINCT_CORNER]
+            centre = np.array([(width - 1) / 2, (height - 1) / 2])
+            focal = np.full((len(places), 1), width / (2 * self._camera.half_width))
+            rays = np.concatenate([focal, places - centre], axis=1)
+            # an untied photo is a group of its own
+            banks[shot] = Bank(rotation=own.photo.rotation, rays=rays, group=group.get(shot, -1 - number))
+        return bridge_poses(self._camera, banks, tried=tried, pitch_deg=pitch_deg, most=most)
 
     def _tie(self, own: _Photo) -> None:
         others = [

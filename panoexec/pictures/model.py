@@ -114,6 +114,22 @@ class Verdicts:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class BridgePose:
+    """A shot that may tie two photos which share too little (`panoexec.pictures.bridging`).
+
+    Attributes:
+        between: the shots of the two photos.
+        pitch_deg, yaw_deg: halfway between them, plan frame.
+        corners: how many unmistakable corners it would show, of the photo of which it would show fewer.
+    """
+
+    between: tuple[int, int]
+    pitch_deg: float
+    yaw_deg: float
+    corners: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PhotoToCheck:
     """A photo and what is known of it.
 

@@ -9,14 +9,14 @@ import json
 import math
 import os
 import sys
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Collection, Mapping, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, Final, Self
 
 from panoexec.errors import DeviceError
 from panoexec.optics import Camera
-from panoexec.pictures.model import Content, Judgement, TieGraph, TieLine, Verdicts
+from panoexec.pictures.model import BridgePose, Content, Judgement, TieGraph, TieLine, Verdicts
 
 _LINE_LIMIT: Final = 1 << 24
 _END_S: Final = 3.0
@@ -107,7 +107,25 @@ class PictureProcess:
         """
         return await self._ask({"final": final})
 
+    async def bridges(
+        self, *, tried: Collection[frozenset[int]], pitch_deg: tuple[float, float], most: int
+    ) -> list[BridgePose]:
+        """Poses that may tie photos which share too little (`panoexec.pictures.bridging.bridge_poses`).
+
+        Raises:
+            DeviceError: the process failed.
+        """
+        asked = {"tried": [sorted(pair) for pair in tried], "pitch_deg": list(pitch_deg), "most": most}
+        answer = await self._exchange({"bridges": asked})
+        return [
+            BridgePose(between=(a, b), pitch_deg=pitch, yaw_deg=yaw, corners=corners)
+            for a, b, pitch, yaw, corners in answer["bridges"]
+        ]
+
     async def _ask(self, request: dict[str, Any]) -> Verdicts:
+        return _verdicts(await self._exchange(request))
+
+    async def _exchange(self, request: dict[str, Any]) -> dict[str, Any]:
         async with self._turn:
             stdin, stdout = self._process.stdin, self._process.stdout
             assert stdin is not None
@@ -122,10 +140,10 @@ class PictureProcess:
                 raise DeviceError(f"the examination of photos failed: {type(error).__name__} {error}") from error
         if not line:
             raise DeviceError("the process that examines photos has ended")
-        answer = json.loads(line)
+        answer: dict[str, Any] = json.loads(line)
         if problem := answer.get("error"):
             raise DeviceError(f"the examination of photos failed: {problem}")
-        return _verdicts(answer)
+        return answer
 
     def _kill(self) -> None:
         with contextlib.suppress(ProcessLookupError):

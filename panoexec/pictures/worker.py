@@ -70,6 +70,11 @@ class _Session:
                     self._examiner.condemn(photo, "unreadable", f"cannot be read ({error.strerror})")
                 else:
                     self._examiner.add(photo, content)
+        if bridges := request.get("bridges"):
+            low, high = bridges["pitch_deg"]
+            tried = {frozenset(pair) for pair in bridges["tried"]}
+            found = self._examiner.bridges(tried=tried, pitch_deg=(low, high), most=bridges["most"])
+            return {"bridges": [[*one.between, one.pitch_deg, one.yaw_deg, one.corners] for one in found]}
         return self._verdicts(final=bool(request.get("final")))
 
     def _verdicts(self, *, final: bool) -> dict[str, Any]:

@@ -91,6 +91,7 @@ def _shot(shot: Mapping[str, Any], source: Source, times: Mapping[tuple[int, int
         "i": index,
         "row": int(shot.get("row", 0)),
         "patch": bool(shot.get("patch", False)),
+        "bridge": shot.get("bridge"),
         "status": str(shot.get("status") or ("accepted" if shot.get("accepted_attempt") else "pending")),
         "reason": str(shot.get("reason", "")),
         "target": [_round(target["pitch_deg"]), _round(target["yaw_deg"])],

@@ -218,6 +218,10 @@ def _content_json(record: MissionRecord) -> dict[str, Any]:
         "geometry_only": list(content.geometry_only),
         "bad": [{"shot": shot, "code": code} for shot, code in bad.items()],
         "unchecked": list(content.unchecked),
+        "bridge_shots": [
+            {"shot": shot, "between": list(record.shots[shot].between or ()), "ties": list(tied)}
+            for shot, tied in record.bridge_ties().items()
+        ],
     }
 
 
@@ -300,6 +304,7 @@ def _shot_json(record: ShotRecord, reference_yaw_north_deg: float, folder: Path)
         "index": shot.index,
         "row": shot.row,
         "patch": record.patch,
+        "bridge": None if record.between is None else list(record.between),
         "status": record.status.value,
         "reason": record.reason,
         "target": _target_json(shot.pitch_deg, shot.yaw_deg)

@@ -107,7 +107,7 @@ def test_the_mission_directory() -> None:
     recorded = json.loads((ROOT / "tests" / "data" / "recorded" / "manifest.json").read_text(encoding="utf-8"))
     recorded |= {"digest": "", "journal": {}}  # an earlier version wrote it
     shot = recorded["shots"][0]
-    shot["sha256"] = None
+    shot |= {"sha256": None, "bridge": None}
     shot["attempts"][0] |= {"seq": 0, "sha256": None}
     keys = {*recorded, "gimbal", "name"}  # which an earlier version did not write
     assert {*between(text, f'(`"format": "{manifest.FORMAT}"`) has', "A shot has"), "format"} == keys

@@ -17,12 +17,20 @@ from typing import Any, Protocol
 
 from panoexec.codec import Flag, Number, Whole, decode
 from panoexec.mission.log.event_base import NAN, AxisErrors, Event, MeasuredPose, Photo, ShotEvent
-from panoexec.mission.log.photo_events import ContentJudged, PhotoChecked, PhotoIdentified, PhotoStored, PhotoTie
+from panoexec.mission.log.photo_events import (
+    BridgePlanned,
+    ContentJudged,
+    PhotoChecked,
+    PhotoIdentified,
+    PhotoStored,
+    PhotoTie,
+)
 
 __all__ = [
     "EVENT_TYPES",
     "NAN",
     "AxisErrors",
+    "BridgePlanned",
     "CommandReceived",
     "ContentJudged",
     "Event",
@@ -334,7 +342,7 @@ class ShotDeferred(ShotEvent):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotMissed(ShotEvent):
-    """All attempts are used up; the shot stays missing unless it is repeated or patched."""
+    """All attempts are used up; the shot stays missing unless it is repeated or patched. Or a bridge ties nothing."""
 
     reason: str
 

@@ -85,6 +85,22 @@ class PhotoChecked(ShotEvent):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class BridgePlanned(Event):
+    """Shots were added halfway between photos that show texture but share too little to be tied.
+
+    Attributes:
+        shots: their indices.
+        between: the two shots that each may tie, in pairs one after the other.
+        pitch_deg, yaw_deg: their targets in the plan's frame.
+    """
+
+    shots: tuple[Whole, ...]
+    between: tuple[Whole, ...]
+    pitch_deg: tuple[Number, ...]
+    yaw_deg: tuple[Number, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ContentJudged(Event):
     """All photos that reached this computer were judged together.
 

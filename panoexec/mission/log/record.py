@@ -67,6 +67,7 @@ class MissionRecord:
         """Evidence that the camera gives of its photos by reports of its own: `FEEDBACK_PIN`, `CAPTURE_MESSAGE`, or
         `COMMANDED` before its first report."""
         self.patch_rounds = 0
+        self.bridge_rounds = 0
         self.content: ev.ContentJudged | None = None
         """What the content of all photos proves together; None while nothing was examined."""
         self.asked = PendingCommands()
@@ -122,6 +123,8 @@ class MissionRecord:
                 self.warnings.append(event.text)
             case ev.PatchPlanned():
                 self._patch(event)
+            case ev.BridgePlanned():
+                self._bridge(event)
             case ev.ContentJudged():
                 self.content = event
             case ev.ShotEvent():
@@ -155,6 +158,13 @@ class MissionRecord:
         for index, row, pitch, yaw in zip(event.shots, event.rows, event.pitch_deg, event.yaw_deg, strict=True):
             shot = Shot(index=index, row=row, pitch_deg=pitch, yaw_deg=yaw)
             self.shots[index] = ShotRecord(shot=shot, patch=True)
+
+    def _bridge(self, event: ev.BridgePlanned) -> None:
+        self.bridge_rounds += 1
+        pairs = zip(event.between[::2], event.between[1::2], strict=True)
+        for index, pair, pitch, yaw in zip(event.shots, pairs, event.pitch_deg, event.yaw_deg, strict=True):
+            shot = Shot(index=index, row=-1, pitch_deg=pitch, yaw_deg=yaw)
+            self.shots[index] = ShotRecord(shot=shot, between=pair)
 
     def _note_reports(self, photos: Sequence[ev.Photo]) -> None:
         best = max((photo.evidence for photo in photos), default=EvidenceLevel.COMMANDED)
@@ -291,6 +301,17 @@ class MissionRecord:
                 found[index] = accepted.checked.verdict
         return found
 
+    def bridge_ties(self) -> dict[int, tuple[int, ...]]:
+        """Which of the two photos each bridge shot ties, by the last word on the content of all; empty before it."""
+        if self.content is None:
+            return {}
+        edges = {frozenset(pair) for pair in zip(self.content.edges[::2], self.content.edges[1::2], strict=True)}
+        return {
+            index: tuple(end for end in shot.between if frozenset((index, end)) in edges)
+            for index, shot in sorted(self.shots.items())
+            if shot.between is not None
+        }
+
     @property
     def ended(self) -> bool:
         """Whether the mission has ended."""
@@ -298,7 +319,7 @@ class MissionRecord:
 
     @property
     def shots_total(self) -> int:
-        """Number of shots of the plan and patches."""
+        """Number of shots of the plan, patches and bridges."""
         return len(self.shots)
 
     @property

@@ -78,6 +78,8 @@ class ShotRecord:
     reason: str = ""
     attempts: list[AttemptRecord] = field(default_factory=list)
     patch: bool = False
+    between: tuple[int, int] | None = None
+    """The two shots that a bridge shot is to tie; None for other shots."""
 
     @property
     def accepted(self) -> AttemptRecord | None:

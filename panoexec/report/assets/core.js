@@ -99,7 +99,7 @@ const shots = data.shots.map((shot) => {
   outline.push(outline[0]);
   const boresight = m.map((row) => row[0]);
   const again = taken && shot.attempts.some((attempt) => attempt.n < taken.n && attempt.verdict !== "interrupted");
-  const kind = taken ? (shot.patch ? "patch" : again ? "retaken" : "first") : "missing";
+  const kind = taken ? (shot.bridge ? "bridge" : shot.patch ? "patch" : again ? "retaken" : "first") : "missing";
   return { ...shot, taken, m, outline, boresight, kind };
 });
 const byIndex = new Map(shots.map((shot) => [shot.i, shot]));

@@ -58,7 +58,7 @@ function shotCard(shot) {
   if (!taken && shot.reason) rows.push(["reason", shot.reason]);
   const others = shot.attempts.filter((attempt) => attempt !== taken);
   return [
-    el("h3", {}, el("span", {}, `Shot ${shot.i}${shot.patch ? ", a patch" : ""}`), pill(taken ? (taken.n > 1 ? `accepted at attempt ${taken.n}` : "accepted") : shot.status, taken ? "good" : kinds[shot.status])),
+    el("h3", {}, el("span", {}, `Shot ${shot.i}${shot.patch ? ", a patch" : shot.bridge ? `, a bridge between ${shot.bridge.join(" and ")}` : ""}`), pill(taken ? (taken.n > 1 ? `accepted at attempt ${taken.n}` : "accepted") : shot.status, taken ? "good" : kinds[shot.status])),
     facts([...rows, ...others.map((attempt) => [`attempt ${attempt.n}`, `${attempt.verdict}${attempt.reason ? `: ${attempt.reason}` : ""}`])]),
     el("div", { class: "steps" }, stepButtons(shot)),
   ];
@@ -93,6 +93,7 @@ function content(found) {
   return [
     check(!found.bad.length, found.bad.length ? `${plural(found.bad.length, "photo")} do not count for their content` : "Every examined photo is readable, exposed, sharp and where its attitude says", found.bad.length ? found.bad.slice(0, 12).map((bad) => `shot ${bad.shot}: ${bad.code}`).join(", ") : null),
     check(found.connected, found.connected ? `${plural(found.ties.length, "tie")} connect the photos` : `The photos are tied in ${found.groups} groups that only geometry connects`, found.bridges.length ? `${plural(found.bridges.length, "tie")} would part them if lost` : null),
+    ...(found.bridge_shots || []).map(({ shot, between, ties }) => check(ties.length === 2 ? true : null, `Bridge shot ${shot} ties ${ties.length === 2 ? `shots ${between.join(" and ")}` : ties.length ? `shot ${ties[0]} alone, not shot ${between.find((end) => end !== ties[0])}` : `neither shot ${between.join(" nor ")}`}`, null)),
     found.geometry_only.length ? check(null, `${plural(found.geometry_only.length, "photo")} are proved by geometry only`, `nothing in their overlaps can be tied: shot ${names(found.geometry_only)}`) : null,
     found.unchecked.length ? check(null, `The content of ${plural(found.unchecked.length, "photo")} is unchecked`, `shot ${names(found.unchecked)}`) : null,
   ];
@@ -110,7 +111,7 @@ function sphere() {
     const kinds = new Set(shots.map((shot) => shot.kind)), gap = certificate ? certificate.uncovered_fraction > 0 : true;
     legend.replaceChildren(...[
       ...(map.paint === "coverage" ? [1, 2, 3].map((k) => entry(plural(k, "image"), `c${k}`)).concat(entry("4 or more", "c4"), gap ? entry("gap", "c0") : null, entry("outside the band", "outside")) : []),
-      kinds.has("retaken") ? entry("accepted after a retake", "warn", true) : null, kinds.has("patch") ? entry("patch shot", "patch", true) : null,
+      kinds.has("retaken") ? entry("accepted after a retake", "warn", true) : null, kinds.has("patch") ? entry("patch shot", "patch", true) : null, kinds.has("bridge") ? entry("bridge shot", "accent", true) : null,
       kinds.has("missing") ? entry("missing", "bad", true) : null,
     ].filter(Boolean));
   };

@@ -140,7 +140,7 @@ class SphereMap {
     this.drawTexture(basis);
     this.drawGrid(basis);
     const ink = this.paint === "photos" ? "rgba(255,255,255,.75)" : colour("ink");
-    const looks = { first: ink, retaken: colour("warn"), patch: colour("patch"), missing: colour("bad") };
+    const looks = { first: ink, retaken: colour("warn"), patch: colour("patch"), bridge: colour("accent"), missing: colour("bad") };
     c.lineJoin = "round";
     for (const shot of shots) {
       const dense = shots.length > 60;

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Collection, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -11,13 +11,15 @@ from pathlib import Path
 import pytest
 
 from panoexec.errors import DeviceError
+from panoexec.mission.bridging import MOST_BRIDGES, ROUNDS
 from panoexec.mission.content_check import MOST_RETAKES, ContentCheck, PictureSource
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.log.shot_record import Verdict
+from panoexec.mission.shot_queue import ShotQueue
 from panoexec.optics import Camera
-from panoexec.pictures.model import Content, Judgement, TieGraph, TieLine, Verdicts
-from panoexec.planning.model import Shot
+from panoexec.pictures.model import BridgePose, Content, Judgement, TieGraph, TieLine, Verdicts
+from panoexec.planning.model import GimbalLimits, Shot
 
 SHOTS = tuple(Shot(index=k, row=0, pitch_deg=-30.0, yaw_deg=60.0 * k - 180) for k in range(6))
 
@@ -29,6 +31,9 @@ class Checker:
         self.bad: dict[int, Content] = {}
         self.added: list[int] = []
         self.broken = False
+        self.wished: list[BridgePose] = []
+        self.edges: tuple[tuple[int, int, int], ...] = ()
+        self.limits: tuple[float, float] | None = None
 
     async def plan(self, planned: Mapping[int, Sequence[float]]) -> None:
         self.planned = dict(planned)
@@ -62,7 +67,14 @@ class Checker:
             for shot in self.added
         }
         good = tuple(shot for shot in photos if shot not in self.bad)
-        return Verdicts(photos=photos, graph=TieGraph(photos=good, groups=(good,) if good else ()))
+        graph = TieGraph(photos=good, groups=(good,) if good else (), edges=self.edges)
+        return Verdicts(photos=photos, graph=graph)
+
+    async def bridges(
+        self, *, tried: Collection[frozenset[int]], pitch_deg: tuple[float, float], most: int
+    ) -> list[BridgePose]:
+        self.limits = pitch_deg
+        return [one for one in self.wished if frozenset(one.between) not in tried][:most]
 
 
 class Mission:
@@ -83,10 +95,11 @@ class Mission:
         self.context = SimpleNamespace(
             record=self.record,
             plan=SimpleNamespace(camera=Camera.from_fov(60, 45)),
-            settings=SimpleNamespace(pictures=pictures),
+            settings=SimpleNamespace(pictures=pictures, gimbal=GimbalLimits(pitch_min_deg=-70.0)),
+            gimbal=SimpleNamespace(limits=None),
             recorder=SimpleNamespace(emit=self.emit),
             requests=requests,
-            queue=[],
+            queue=ShotQueue([], attempts=9, rounds=9),
             clock=SystemClock(),
         )
         self.check = ContentCheck(
@@ -108,7 +121,7 @@ class Mission:
 
     def revoke(self, shot: int, number: int, code: str, reason: str, photos: tuple[ev.Photo, ...]) -> None:
         self.revoked.append((shot, number, code))
-        self.context.queue.append(shot)
+        self.context.queue.add(shot)
         self.emit(ev.ShotRevoked(shot=shot, attempt=number, code=code, reason=reason, photos=photos))
 
     def accept(self, shot: int, *, stored: bool = True) -> None:
@@ -218,6 +231,121 @@ async def test_when_most_photos_are_bad_none_is_taken_again(tmp_path: Path) -> N
     await asyncio.gather(running, return_exceptions=True)
     last = set(mission.record.bad_photos())
     assert last or mission.revoked, "bad photos are never silently accepted"
+
+
+def bridge(a: int, b: int) -> BridgePose:
+    return BridgePose(between=(a, b), pitch_deg=-33.0, yaw_deg=10.0 * a, corners=30)
+
+
+async def test_a_bridge_is_planned_flown_and_told(tmp_path: Path) -> None:
+    mission = Mission(tmp_path)
+    for shot in range(6):
+        mission.accept(shot)
+    mission.checker.wished = [bridge(1, 2)]
+    await mission.checked()
+    assert mission.checker.limits == (-70.0, 90.0)
+    assert mission.kinds()[-1] == "bridge_planned"
+    assert mission.record.content is None, "the mission goes on"
+    added = mission.record.shots[6]
+    assert (added.between, added.shot.row, added.shot.pitch_deg, added.shot.yaw_deg) == ((1, 2), -1, -33.0, 10.0)
+    assert 6 in mission.context.queue
+    mission.accept(6)
+    mission.checker.edges = ((1, 6, 20), (2, 6, 20))
+    await mission.checked()
+    assert mission.record.bridge_ties() == {6: (1, 2)}
+    assert not mission.record.warnings
+    # a new process folds the same events into the same mission: the bridge is not planned again
+    again = MissionRecord.from_events(mission_id="m", shots=SHOTS, events=mission.events)
+    assert (again.shots[6].between, again.bridge_rounds) == ((1, 2), 1)
+
+
+async def test_a_bridge_that_ties_only_one_side_is_told(tmp_path: Path) -> None:
+    mission = Mission(tmp_path)
+    for shot in range(3):
+        mission.accept(shot)
+    mission.checker.wished = [bridge(1, 2)]
+    await mission.checked()
+    mission.accept(6)
+    mission.checker.edges = ((1, 6, 20),)
+    await mission.checked()
+    assert mission.record.bridge_ties() == {6: (1,)}
+    assert mission.record.warnings == [
+        "shots 1 and 2 show texture but share too little; bridge shot 6 ties shot 1 alone"
+    ]
+
+
+async def test_bridges_are_bounded_whatever_is_wished(tmp_path: Path) -> None:
+    mission = Mission(tmp_path)
+    for shot in range(6):
+        mission.accept(shot)
+    mission.checker.wished = [bridge(a, b) for a in range(6) for b in range(a)]
+    for _ in range(ROUNDS + 3):
+        await mission.checked()
+        for shot in [index for index, one in mission.record.shots.items() if one.between and one.accepted is None]:
+            mission.accept(shot)
+    planned = [event for event in mission.events if isinstance(event, ev.BridgePlanned)]
+    pairs = [pair for event in planned for pair in zip(event.between[::2], event.between[1::2], strict=True)]
+    assert len(planned) <= ROUNDS
+    assert len(pairs) == len(set(pairs)) == MOST_BRIDGES
+    assert mission.record.content is not None
+
+
+async def test_a_pose_that_the_gimbal_cannot_pan_to_is_no_bridge(tmp_path: Path) -> None:
+    mission = Mission(tmp_path)
+    for shot in range(6):
+        mission.accept(shot)
+    mission.context.settings.gimbal = GimbalLimits(yaw_min_deg=-5.0, yaw_max_deg=25.0, yaw_endless=False)
+    mission.checker.wished = [bridge(4, 5), bridge(5, 3)]
+    await mission.checked()
+    assert "bridge_planned" not in mission.kinds()
+    assert mission.record.content is not None
+
+
+async def test_a_second_untied_photo_waits_for_its_bridge_and_is_taken_again_if_that_fails(tmp_path: Path) -> None:
+    mission = Mission(tmp_path)
+    for shot in range(6):
+        mission.accept(shot)
+    mission.checker.bad[2] = Content.UNTIED
+    mission.checker.wished = [bridge(1, 2)]
+    await mission.checked()
+    assert mission.revoked == [(2, 1, "untied")], "first it is taken again"
+    mission.accept(2)
+    await mission.checked()
+    assert len(mission.revoked) == 1
+    assert 6 in mission.context.queue
+    mission.accept(6)
+    await mission.checked()
+    assert mission.revoked == [(2, 1, "untied"), (2, 2, "untied")]
+
+
+async def test_a_bad_bridge_is_given_up_and_nothing_hangs_on_it(tmp_path: Path) -> None:
+    mission = Mission(tmp_path)
+    for shot in range(3):
+        mission.accept(shot)
+    mission.checker.wished = [bridge(1, 2)]
+    await mission.checked()
+    mission.checker.bad[6] = Content.UNTIED
+    mission.accept(6)
+    await mission.checked()
+    assert mission.revoked == [(6, 1, "untied")]
+    mission.accept(6)
+    await mission.checked()
+    assert mission.record.shots[6].accepted is None
+    assert mission.record.content is not None
+    assert mission.record.content.bad == ()
+    assert not mission.record.bad_photos()
+    assert mission.record.bridge_ties() == {6: ()}
+    assert "neither of them" in mission.record.warnings[0]
+
+
+async def test_no_bridge_is_flown_where_nothing_is_taken_again(tmp_path: Path) -> None:
+    mission = Mission(tmp_path, pictures="warn")
+    for shot in range(3):
+        mission.accept(shot)
+    mission.checker.wished = [bridge(1, 2)]
+    await mission.checked()
+    assert "bridge_planned" not in mission.kinds()
+    assert mission.record.content is not None
 
 
 async def test_photos_that_do_not_arrive_are_unchecked(tmp_path: Path) -> None:
