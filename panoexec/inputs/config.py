@@ -24,6 +24,7 @@ TURNING_MODES = frozenset({"OFFBOARD", "HOLD"})
 """Flight modes, by MAVSDK's names, in which ArduPilot (OFFBOARD) or PX4 (HOLD) executes yaw commands."""
 _ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _CAMERA_PORT = re.compile(r"usb:(\d{3},\d{3})?|ptpip:[A-Za-z0-9._-]+(:\d{1,5}(:\d{1,5})?)?")
+_ORIGIN = re.compile(r"https?://([A-Za-z0-9_.-]{1,253}|\[[0-9A-Fa-f:.]+\])(:\d{1,5})?")
 _HOST_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,252}")
 
 Positive: TypeAlias = Annotated[FiniteFloat, Field(gt=0)]
@@ -312,6 +313,50 @@ class StorageSection(Section):
     min_free_mb: NotNegative = 200.0
 
 
+class WebSection(Section):
+    """`[web]`: the operator's page (`panoexec web`)."""
+
+    listen: str = "127.0.0.1:8090"
+    users_file: Path | None = None
+    cert_file: Path | None = None
+    key_file: Path | None = None
+    origins: tuple[str, ...] = ()
+
+    @field_validator("listen")
+    @classmethod
+    def _listen_is_an_address(cls, value: str) -> str:
+        listen_address(value)
+        return value
+
+    @field_validator("origins")
+    @classmethod
+    def _origins_are_origins(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for origin in value:
+            if not _ORIGIN.fullmatch(origin):
+                raise ValueError(f'{origin!r} is not an origin: give scheme and host, "https://ground.example"')
+        return value
+
+    @model_validator(mode="after")
+    def _certificate_has_a_key(self) -> Self:
+        if (self.cert_file is None) != (self.key_file is None):
+            raise ValueError("cert_file and key_file belong together: set both or neither")
+        return self
+
+
+def listen_address(text: str) -> tuple[str, int]:
+    """Host and port of `HOST:PORT`, `[IPV6]:PORT` or `PORT`.
+
+    Raises:
+        ValueError: it is none.
+    """
+    host, _, port = text.rpartition(":")
+    host = host[1:-1] if host.startswith("[") and host.endswith("]") and _is_ipv6(host[1:-1]) else host
+    host = host or "127.0.0.1"
+    if not (port.isdecimal() and int(port) <= 65_535) or not (_HOST_NAME.fullmatch(host) or _is_ipv6(host)):
+        raise ValueError(f"{text!r} is not an address to listen at: give HOST:PORT, for example 127.0.0.1:8090")
+    return host, int(port)
+
+
 class LogSection(Section):
     """`[log]`: level and format of the log."""
 
@@ -331,6 +376,7 @@ class Config(Section):
     mission: MissionSection = MissionSection()
     mqtt: MqttSection = MqttSection()
     storage: StorageSection = StorageSection()
+    web: WebSection = WebSection()
     log: LogSection = LogSection()
 
     @model_validator(mode="after")

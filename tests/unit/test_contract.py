@@ -148,7 +148,7 @@ def test_sections_of_the_configuration() -> None:
     assert [name.strip("[]") for name in rows("Configuration")] == list(Config.model_fields)
 
 
-@pytest.mark.parametrize("verb", ["web", "demo"])
+@pytest.mark.parametrize("verb", ["demo"])
 def test_what_is_planned_is_not_there_yet(verb: str) -> None:
     """What is built has to move up."""
     assert verb not in COMMANDS

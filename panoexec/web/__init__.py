@@ -1,0 +1,1 @@
+"""The server of the operator's page: a client of the MQTT interface that browsers reach by HTTP and one WebSocket."""
