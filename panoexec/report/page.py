@@ -18,6 +18,9 @@ from typing import Any, Final
 
 from panoexec.report.panorama import Panorama
 
+_SHARED_SCRIPTS: Final = ("elements.js", "sphere_math.js", "sphere_view.js")
+"""Modules that the operator's page loads as they are, in an order in which each finds what it imports."""
+_MODULE_WORDS: Final = re.compile(r"^(?:import [^\n]*;\n|export )", re.MULTILINE)
 _SCRIPTS: Final = ("core.js", "sphere.js", "charts.js", "viewer.js", "main.js")
 _VIEWER_SCRIPTS: Final = ("pannellum/libpannellum.js", "pannellum/pannellum.js")
 
@@ -29,8 +32,9 @@ def render_page(data: Mapping[str, Any], panorama: Panorama | None) -> str:
         data: from `page_data`, with the key `panorama` that describes the picture.
         panorama: the panorama, if there is one.
     """
-    scripts = [asset(name) for name in ((*_VIEWER_SCRIPTS, *_SCRIPTS) if panorama else _SCRIPTS)]
-    styles = asset("report.css") + (_viewer_styles() if panorama else "")
+    own = (*_VIEWER_SCRIPTS, *_SCRIPTS) if panorama else _SCRIPTS
+    scripts = [*(shared_script(name) for name in _SHARED_SCRIPTS), *(asset(name) for name in own)]
+    styles = shared_asset("theme.css") + asset("report.css") + (_viewer_styles() if panorama else "")
     digests = " ".join(f"'sha256-{_digest(script)}'" for script in scripts)
     policy = (
         f"default-src 'none'; script-src {digests}; style-src 'unsafe-inline'; img-src data: blob:;"
@@ -63,6 +67,17 @@ def embedded_json(data: object) -> str:
 def asset(name: str) -> str:
     """A text file of the package's assets; it must not contain a script end tag."""
     return (files("panoexec.report") / "assets" / name).read_text(encoding="utf-8")
+
+
+@cache
+def shared_asset(name: str) -> str:
+    """A text file that the report shares with the operator's page."""
+    return (files("panoexec") / "pages" / name).read_text(encoding="utf-8")
+
+
+def shared_script(name: str) -> str:
+    """A shared module as a classic script: a page that is a file cannot load modules, so all names are global in it."""
+    return _MODULE_WORDS.sub("", shared_asset(name))
 
 
 def _digest(script: str) -> str:

@@ -34,10 +34,15 @@ class StaticFile:
 
 
 def read_static_files() -> dict[str, StaticFile]:
-    """The files by their path below `/assets/`; those of the report, which the page draws with, are in `report/`."""
+    """The files by their path below `/assets/`; `pages/` has what the report shares, `report/` the report's own."""
     found: dict[str, StaticFile] = {}
-    for prefix, package in (("", "web"), ("report/", "report")):
-        _read(files("panoexec") / package / "assets", prefix, found)
+    package = files("panoexec")
+    for prefix, folder in (
+        ("", package / "web" / "assets"),
+        ("pages/", package / "pages"),
+        ("report/", package / "report" / "assets"),
+    ):
+        _read(folder, prefix, found)
     return found
 
 

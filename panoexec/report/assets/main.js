@@ -124,7 +124,7 @@ function sphere() {
   const refill = () => {
     toolbar.replaceChildren(
       choice("view", [["ball", "Sphere"], ["map", "Flat map"]], (value) => map.show(value)),
-      map.textures.photos ? choice("paint", [["photos", "Photos"], ["coverage", "Coverage"]], (value) => { map.paint = value; map.ask(); }) : "",
+      map.textures.photos ? choice("paint", [["photos", "Photos"], ["coverage", "Coverage"]], (value) => map.paintWith(value)) : "",
       el("span", { class: "toggle" }, el("button", { "aria-label": "zoom out", onclick: () => map.zoomBy(1 / 1.3) }, "−"), el("button", { "aria-label": "zoom in", onclick: () => map.zoomBy(1.3) }, "+")),
     );
   };
