@@ -44,6 +44,7 @@ from panoexec.mqtt.requests import (
 )
 from panoexec.mqtt.transaction_file import FORGOTTEN
 from panoexec.mqtt.transactions import Transactions
+from panoexec.planning.model import Plan
 from panoexec.store.listing import list_missions
 
 CAMERA: Final = "camera"
@@ -178,7 +179,7 @@ class Commands:
                 data = await self._start(request, incoming, beginning)
             case PlanRequest():
                 spec = spec_of(self._config(), request, camera=self.camera, limits=self._vehicle.turn_limits)
-                data = planned(await self._plans.for_sender(spec, incoming.sender))
+                data = self._planned(await self._plans.for_sender(spec, incoming.sender), request)
             case ResumeRequest():
                 assert beginning is not None
                 data = await self._resume(incoming, beginning)
@@ -246,7 +247,10 @@ class Commands:
             incoming.check_fresh()
             reference = request.reference or config.mission.reference
             mission_id = await self._missions.begin(plan, settings, devices, reference, name=request.name)
-        return {"mission_id": mission_id} | planned(plan)
+        return {"mission_id": mission_id} | self._planned(plan, request)
+
+    def _planned(self, plan: Plan, request: PlanRequest) -> dict[str, Any]:
+        return planned(plan, hover_s=60 * self._config().guards.hover_min, shots=request.shots)
 
     async def _resume(self, incoming: Incoming, beginning: Beginning) -> dict[str, Any]:
         mission = await self._missions.under_way()

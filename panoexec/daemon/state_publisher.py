@@ -13,10 +13,11 @@ from panoexec.daemon.missions import Missions
 from panoexec.daemon.sdnotify import SystemdNotifier
 from panoexec.daemon.vehicle_link import VehicleLink
 from panoexec.inputs.plan_file import plan_to_data
+from panoexec.mission.live_pose import LivePose
 from panoexec.mission.log.shot_marks import ShotMarks
 from panoexec.mission.log.states import MissionState
 from panoexec.mqtt.link import MqttLink
-from panoexec.mqtt.messages import State, dump, dump_json
+from panoexec.mqtt.messages import ErrorDegFields, PoseFields, State, dump, dump_json
 from panoexec.planning.model import Plan
 
 FLYING: Final = frozenset({MissionState.PREFLIGHT, MissionState.CAPTURING, MissionState.PAUSED, MissionState.FINISHING})
@@ -159,8 +160,20 @@ class StatePublisher:
             reason=reason,
             resumable=offer.stored_id if offered and offer is not None else None,
             link=self._vehicle.links(),
+            pose=None if mission is None else _pose(mission.pose),
             battery_frac=battery if math.isfinite(battery) else None,
             boot_id=self._boot_id,
             seq=self._seq,
             time=datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z"),
         )
+
+
+def _pose(pose: LivePose | None) -> PoseFields | None:
+    if pose is None:
+        return None
+    error = None
+    if pose.error_deg is not None:
+        pitch, roll, yaw = (round(one, 3) for one in pose.error_deg)
+        error = ErrorDegFields(pitch=pitch, roll=roll, yaw=yaw)
+    pitch, roll, yaw = (round(one, 2) for one in (pose.pitch_deg, pose.roll_deg, pose.yaw_deg))
+    return PoseFields(pitch_deg=pitch, roll_deg=roll, yaw_deg=yaw, error_deg=error)

@@ -19,6 +19,7 @@ from panoexec.mission.eta import EtaEstimator
 from panoexec.mission.guard_monitor import GuardMonitor
 from panoexec.mission.guards import Guard, flight_guards
 from panoexec.mission.lens_check import lens_problem
+from panoexec.mission.live_pose import LivePose, live_pose
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.log.recorder import Recorder
@@ -138,6 +139,11 @@ class Mission:
     def eta_s(self) -> float:
         """Estimated seconds until the last shot."""
         return self._context.eta.eta_s(self._context.shots_left())
+
+    @property
+    def pose(self) -> LivePose | None:
+        """Where the camera points now; None if that is not known."""
+        return live_pose(self._context)
 
     @property
     def shot_s(self) -> float:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 
-from panoexec.inputs.plan_file import FORMAT, camera_to_data
+from panoexec.inputs.plan_file import FORMAT, camera_to_data, plan_to_data
 from panoexec.inputs.plan_options import ConstraintsModel
 from panoexec.mqtt.messages import State
 from panoexec.planning.model import Certificate, Estimate, Plan, Shot
@@ -43,8 +43,29 @@ class CameraFields(Fields):
     calibrated_focal_length_mm: Annotated[Finite | None, WithJsonSchema({"type": "number"})] = None
 
 
+class PlanFields(Fields):
+    """A plan file, format panoexec.plan/1.
+
+    `panoexec.inputs.plan_file.plan_to_data` writes it.
+    """
+
+    format: Annotated[str, WithJsonSchema({"const": FORMAT})]
+    method: str
+    camera: CameraFields
+    constraints: ConstraintsModel
+    shots: Annotated[tuple[Shot, ...], Field(min_length=1)]
+    certificate: Certificate | None
+    estimate: Estimate | None
+    lower_bound: WholeOrNull
+    notes: tuple[str, ...]
+
+
 class PlannedFields(Fields):
-    """What an answer says of a plan."""
+    """What an answer says of a plan.
+
+    `battery_need_frac` is the part of a full battery that shooting needs by `[guards] hover_min`, null if that is not
+    set; `plan`, the plan file, is there if the request had `shots`.
+    """
 
     images: int
     rows: int
@@ -54,6 +75,8 @@ class PlannedFields(Fields):
     camera: CameraFields
     lower_bound: WholeOrNull
     notes: tuple[str, ...]
+    battery_need_frac: FiniteOrNull = None
+    plan: PlanFields | None = None
 
 
 class MissionFields(Fields):
@@ -159,23 +182,6 @@ class ThumbnailsFields(Fields):
     count: int
 
 
-class PlanFields(Fields):
-    """A plan file, format panoexec.plan/1.
-
-    `panoexec.inputs.plan_file.plan_to_data` writes it.
-    """
-
-    format: Annotated[str, WithJsonSchema({"const": FORMAT})]
-    method: str
-    camera: CameraFields
-    constraints: ConstraintsModel
-    shots: Annotated[tuple[Shot, ...], Field(min_length=1)]
-    certificate: Certificate | None
-    estimate: Estimate | None
-    lower_bound: WholeOrNull
-    notes: tuple[str, ...]
-
-
 ANSWERS: dict[str, type[BaseModel]] = {
     "plan": PlannedFields,
     "start": StartedFields,
@@ -194,8 +200,14 @@ ANSWERS: dict[str, type[BaseModel]] = {
 """The model of the `data` of each command's answer."""
 
 
-def planned(plan: Plan) -> dict[str, Any]:
-    """What an answer says of a plan, as JSON."""
+def planned(plan: Plan, *, hover_s: float, shots: bool) -> dict[str, Any]:
+    """What an answer says of a plan, as JSON.
+
+    Args:
+        plan: the plan.
+        hover_s: hover time of a full battery; 0 if unknown.
+        shots: whether it has the plan file, too.
+    """
     estimate = plan.estimate
     fields = PlannedFields(
         images=len(plan.shots),
@@ -206,5 +218,7 @@ def planned(plan: Plan) -> dict[str, Any]:
         camera=CameraFields(**camera_to_data(plan.camera)),
         lower_bound=plan.lower_bound,
         notes=plan.notes,
+        battery_need_frac=None if estimate is None or hover_s <= 0 else round(estimate.duration_s / hover_s, 4),
     )
-    return fields.model_dump(mode="json", exclude_unset=True)
+    told = fields.model_dump(mode="json", exclude_unset=True)
+    return told | {"plan": plan_to_data(plan)} if shots else told

@@ -46,6 +46,23 @@ class LinksFields(Payload):
     camera: LinkFields
 
 
+class ErrorDegFields(Payload):
+    """Pointing error about the axes of the gimbal."""
+
+    pitch: float
+    roll: float
+    yaw: float
+
+
+class PoseFields(Payload):
+    """Where the camera points, in the plan's frame; `error_deg` to the current shot, null between shots."""
+
+    pitch_deg: float
+    roll_deg: float
+    yaw_deg: float
+    error_deg: ErrorDegFields | None
+
+
 class State(Payload):
     """The retained state of the daemon and its mission.
 
@@ -62,6 +79,7 @@ class State(Payload):
         eta_s: estimated seconds until the end of shooting.
         reason: why the mission is in this state, as text.
         resumable: id of the mission that `resume` would resume.
+        pose: where the camera points now; null without a mission under way, or if it is not known.
         battery_frac: state of charge, 0 to 1; null if unknown.
         boot_id: id of the process; `seq` counts states within it.
         time: ISO 8601 UTC.
@@ -81,6 +99,7 @@ class State(Payload):
     reason: str
     resumable: str | None
     link: LinksFields
+    pose: PoseFields | None = None
     battery_frac: float | None
     boot_id: str
     seq: int

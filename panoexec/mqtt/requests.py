@@ -131,6 +131,7 @@ class PlanRequest(Request):
         method: planning method.
         order: shooting order.
         plan: a plan file instead of a plan to be computed.
+        shots: whether the answer has the whole plan file, too.
     """
 
     command: ClassVar[str] = "plan"
@@ -148,6 +149,7 @@ class PlanRequest(Request):
     method: Literal["certified", "paper"] | None = None
     order: Literal["fastest", "rows", "columns", "nadir-first", "sky-first"] | None = None
     plan: Annotated[dict[str, Any], Strict()] | None = None
+    shots: Annotated[bool, Strict()] = False
 
     @field_validator("camera")
     @classmethod

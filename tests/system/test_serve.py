@@ -33,6 +33,9 @@ async def test_a_mission_from_start_to_complete_by_mqtt_with_the_broker_restarte
             assert images >= 7
             assert plan["data"]["certificate"]["images"] == images
             assert plan["data"]["duration_s"] > 0
+            drawn = await ground.ask("plan", "p2", **SMALL, shots=True)
+            assert len(drawn["data"]["plan"]["shots"]) == images
+            assert drawn["data"]["battery_need_frac"] > 0
             assert ground.plan is None, "a plan is dry"
 
             start = await ground.ask("start", "s", **SMALL)
@@ -40,6 +43,7 @@ async def test_a_mission_from_start_to_complete_by_mqtt_with_the_broker_restarte
             assert (await ground.ask("start", "s", **SMALL)) == start, "the same transaction acts once"
             assert (await ground.ask("start", "s2", **SMALL))["error"]["code"] == "busy"
             await ground.until(lambda: "shot_accepted" in ground.types())
+            await ground.until(lambda: (ground.state["pose"] or {}).get("error_deg") is not None)
             assert ground.plan is not None
             assert len(ground.plan["shots"]) == images
 

@@ -51,7 +51,10 @@ def test_every_command_has_an_answer() -> None:
 
 def test_a_plan_is_answered_as_its_file_describes_it(plan: Plan) -> None:
     for one in (plan, replace(plan, certificate=FAILED), replace(plan, certificate=None, estimate=None)):
-        data = planned(one)
+        data = planned(one, hover_s=1200.0, shots=False)
+        needed = None if one.estimate is None else round(one.estimate.duration_s / 1200.0, 4)
+        assert planned(one, hover_s=0.0, shots=False) == data | {"battery_need_frac": None}
+        assert planned(one, hover_s=1200.0, shots=True) == data | {"plan": plan_to_data(one)}
         assert data == {
             "images": len(one.shots),
             "rows": len({shot.row for shot in one.shots}),
@@ -61,9 +64,12 @@ def test_a_plan_is_answered_as_its_file_describes_it(plan: Plan) -> None:
             "camera": camera_to_data(one.camera),
             "lower_bound": one.lower_bound,
             "notes": list(one.notes),
+            "battery_need_frac": needed,
         }
         answer = {"transaction": 1, "status": "ok", "error": None, "data": data}
         assert misfits("response_plan", answer) == []
+        drawn = json.loads(json.dumps(planned(one, hover_s=1200.0, shots=True)))
+        assert misfits("response_plan", answer | {"data": drawn}) == []
         assert misfits("response_start", answer | {"data": {"mission_id": "m"} | data}) == []
         assert misfits("response_start", answer), "which mission must be there"
 
