@@ -116,5 +116,5 @@ def settings_on(rig: Rig, devices: Devices, settings: MissionSettings, note: Cal
     if not rig.may_stand or devices.vehicle.status.in_air:
         return settings
     note("the vehicle is on the ground and stays there: flight guards are disabled")
-    guards = replace(settings.guards, position_hold=False, position_drift_m=math.inf, allowed_modes=())
+    guards = replace(settings.guards, position_hold=False, position_drift_m=math.inf, parallax_px=0.0, allowed_modes=())
     return replace(settings, guards=guards)

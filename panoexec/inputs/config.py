@@ -223,6 +223,8 @@ class GuardsSection(Section):
     battery_floor_frac: Fraction = 0.25
     hover_min: NotNegative = 20.0
     position_drift_m: Positive = 3.0
+    parallax_px: NotNegative = 0.0
+    """0: no limit."""
     allowed_modes: tuple[str, ...] = ("HOLD", "OFFBOARD", "POSCTL")
     attitude_silence_s: Positive = 2.0
     require_in_air: bool = False

@@ -12,6 +12,7 @@ def guard_settings(guards: GuardsSection, gimbal: GimbalSection) -> GuardSetting
         battery_floor_frac=guards.battery_floor_frac,
         hover_s=60 * guards.hover_min,
         position_drift_m=guards.position_drift_m,
+        parallax_px=guards.parallax_px,
         allowed_modes=guards.allowed_modes,
         attitude_silence_s=guards.attitude_silence_s,
         position_hold=guards.require_in_air,

@@ -17,7 +17,7 @@ from panoexec.mission.context import MissionContext
 from panoexec.mission.ending import Ending
 from panoexec.mission.eta import EtaEstimator
 from panoexec.mission.guard_monitor import GuardMonitor
-from panoexec.mission.guards import Guard, flight_guards
+from panoexec.mission.guards import Guard, flight_guards, parallax_guard
 from panoexec.mission.lens_check import lens_problem
 from panoexec.mission.live_pose import LivePose, live_pose
 from panoexec.mission.log import events as ev
@@ -113,7 +113,8 @@ class Mission:
         )
         self._resumed = bool(past)
         self._reference = reference
-        self._guard_monitor = GuardMonitor(self._context, flight_guards(settings) if guards is None else guards)
+        enabled = (*flight_guards(settings), *parallax_guard(settings, plan)) if guards is None else guards
+        self._guard_monitor = GuardMonitor(self._context, enabled)
         self._ending = Ending(self._context)
         self._content = ContentCheck(self._context, pictures, self._take_back)
         self._shooting: Shooting | None = None

@@ -16,6 +16,7 @@ from typing import Protocol
 from panoexec.devices import Gimbal, VehicleStatus
 from panoexec.mission.preflight import IDLE_SILENCE_S, cannot_turn
 from panoexec.mission.settings import GuardSettings, MissionSettings
+from panoexec.planning.model import Plan
 
 EARTH_RADIUS_M = 6_371_000.0
 
@@ -234,6 +235,53 @@ class PositionGuard:
             return None
         reason = f"{moved:.1f} m from where the mission began (at most {self.drift_m:g} m); waiting for its return"
         return Finding(code="position", reason=reason, automatic=True)
+
+
+@dataclass(frozen=True, slots=True)
+class ParallaxGuard:
+    """The drift uses up the limit of the seam error: two photos at half of it each are just within it.
+
+    Attributes:
+        limit_px: `GuardSettings.parallax_px`.
+        focal_px: focal length of the camera, pixels.
+        steepness: sine of the steepest angle below the horizon at which the panorama shows ground.
+        back_frac: share of the limit within which a hold ends.
+    """
+
+    limit_px: float
+    focal_px: float
+    steepness: float
+    back_frac: float
+
+    def check(self, situation: Situation) -> Finding | None:
+        """See `Guard.check`."""
+        moved, height = distance_m(situation.origin, situation.vehicle), situation.vehicle.relative_altitude_m
+        if not height > 0 or not self.steepness > 0:
+            return None
+        limit_m = self.limit_px * height / (2 * self.focal_px * self.steepness)
+        if not moved > limit_m * (self.back_frac if "parallax" in situation.holding else 1.0):
+            return None
+        reason = (
+            f"{moved:.2f} m from where the mission began: at most {limit_m:.2f} m keep seams on ground {height:.0f} m"
+            f" below within {self.limit_px:g} px; waiting for its return"
+        )
+        return Finding(code="parallax", reason=reason, automatic=True)
+
+
+def parallax_guard(settings: MissionSettings, plan: Plan) -> tuple[Guard, ...]:
+    """The guard of the seam error, if the settings have a limit for it."""
+    guard = settings.guards
+    if not guard.parallax_px > 0:
+        return ()
+    lowest_deg = plan.constraints.band.elevation_min_deg
+    return (
+        ParallaxGuard(
+            limit_px=guard.parallax_px,
+            focal_px=plan.camera.focal_length_px,
+            steepness=-math.sin(math.radians(lowest_deg)),
+            back_frac=guard.position_back_frac,
+        ),
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,6 +38,7 @@ PAUSE_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
         "battery": "battery low: land, swap, resume",
         "fix": "GPS position lost, waiting",
         "position": "drifted, return to start position",
+        "parallax": "drifted, return to start position",
         "storage": "camera storage is full",
         "camera": "camera refuses each photo",
         "photos": "no proof of any photo",
@@ -56,6 +57,7 @@ _WARNING_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
         "open_loop": "no gimbal feedback, poses unverified",
         "position": "moved since the first shots: parallax",
         "battery_estimate": "battery too small for all shots",
+        "parallax": "drift: expect parallax at seams",
         "untied": "some photos stay untied",
     }
 )

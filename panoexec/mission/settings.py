@@ -25,6 +25,8 @@ class GuardSettings:
         hover_s: hover time with a full battery, compared with the estimated duration; 0: unknown.
         position_drift_m: largest horizontal distance from the mission's origin (parallax), metres; twice that
             vertically, where GNSS is less accurate; infinity disables the guard.
+        parallax_px: largest seam error between two photos that the drift may cause, pixels of the photo
+            (`panoexec.mission.parallax`); 0: it is told, nothing follows.
         position_back_frac: a position hold ends within this fraction of that distance.
         allowed_modes: flight modes (as the adapter names them) in which the mission may use the gimbal; empty = all.
         attitude_silence_s: longest time without an attitude sample.
@@ -37,6 +39,7 @@ class GuardSettings:
     battery_floor_frac: Number = 0.25
     hover_s: Number = 1200.0
     position_drift_m: Number = 3.0
+    parallax_px: Number = 0.0
     position_back_frac: Number = 0.7
     allowed_modes: tuple[str, ...] = ()
     attitude_silence_s: Number = 1.0

@@ -18,6 +18,7 @@ from panoexec.mission.log import events as ev
 from panoexec.mission.log.shot_record import ShotStatus, Verdict
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.mission_requests import Stop
+from panoexec.mission.parallax import ParallaxWatch
 from panoexec.mission.photo_proof import PhotoProof
 from panoexec.mission.pointing.nose_hold import HEADING_CODE
 from panoexec.mission.pointing.steady_error import cannot_hold
@@ -53,6 +54,7 @@ class Shooting:
             open_loop=context.settings.feedback == "none",
             heading_controller=context.heading_controller,
         )
+        self._parallax = ParallaxWatch(context)
         self._proof = PhotoProof(context, self.shooter, self)
         pans = gimbal_limits(context.gimbal, context.settings).pans
         self._failures = SystematicFailure(
@@ -164,6 +166,7 @@ class Shooting:
     def _exposed(self, shot: int, number: int, settled: Settled, exposure: Exposure) -> None:
         may_overlap = not exposure.failure and not exposure.broken_off and self._may_overlap(exposure.verdict)
         verdict, photos = exposure.verdict, evidence.first_photos(exposure.trigger_utc_s, exposure.captures)
+        status = self._context.vehicle.status
         exposed = ev.ShotExposed(
             shot=shot,
             attempt=number,
@@ -178,6 +181,10 @@ class Shooting:
             open_loop=self.shooter.open_loop,
             images_before=exposure.images_before,
             may_overlap=may_overlap,
+            latitude_deg=status.latitude_deg,
+            longitude_deg=status.longitude_deg,
+            altitude_m=status.altitude_m,
+            height_m=status.relative_altitude_m,
         )
         self._keep(exposed)
         if exposure.broken_off:
@@ -187,13 +194,15 @@ class Shooting:
             )
             return
         by = "open_loop" if self.shooter.open_loop else "tolerance" if verdict.ok else "overlap"
-        if not exposure.failure and (verdict.ok or may_overlap):
+        too_far = "" if exposure.failure else self._parallax.problem(shot, exposed)
+        if not exposure.failure and not too_far and (verdict.ok or may_overlap):
             self._outstanding += 1
             proof = self._prove(shot, number, photos, exposure, by=by)
             self._group.create_task(proof, name=f"evidence of {shot}")
             return
-        code = "trigger" if exposure.failure else verdict.code
-        self.reject(shot, number, code, exposure.failure or verdict.reason, photos, offset=_offset_of(verdict))
+        code = "trigger" if exposure.failure else "parallax" if too_far else verdict.code
+        reason = exposure.failure or too_far or verdict.reason
+        self.reject(shot, number, code, reason, photos, offset=_offset_of(verdict))
         self._group.create_task(self._proof.identify(shot, number, photos, exposure.captures), name=f"photo of {shot}")
 
     def _may_overlap(self, verdict: WindowVerdict) -> bool:
@@ -216,6 +225,7 @@ class Shooting:
         self._failures.reset()
         self._keep(ev.ShotAccepted(shot=shot, attempt=number, photos=tuple(photos), by=by))
         self._context.requests.skips.discard(shot)
+        self._parallax.accepted(shot, self._context.record.shots[shot].attempts[number - 1])
         self._context.eta.accepted(self._context.clock.monotonic())
 
     def _interrupted(self, shot: int, number: int) -> None:

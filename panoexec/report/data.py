@@ -61,6 +61,7 @@ def page_data(source: Source, *, made_utc_s: float) -> dict[str, Any]:
         "band": _band(source),
         "counts": manifest.get("counts") or _counts(shots),
         "certificate": manifest.get("certificate"),
+        "parallax": _parallax(manifest.get("parallax")),
         "shots": shots,
         "reasons": _reasons(shots),
         "timeline": _timeline(times, source),
@@ -74,6 +75,11 @@ def page_data(source: Source, *, made_utc_s: float) -> dict[str, Any]:
         "stitch": _stitch(source.stitch),
         "notes": list(source.notes),
     }
+
+
+def _parallax(found: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """The worst expected seam; the report does not list all pairs."""
+    return None if not found else {"worst_px": found["worst_px"], "between": found["between"]}
 
 
 def _planned_tolerance(source: Source) -> dict[str, float]:

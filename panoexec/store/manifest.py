@@ -35,6 +35,7 @@ from panoexec.inputs.plan_file import camera_to_data, certificate_to_data
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.log.shot_record import AttemptRecord, ShotRecord
+from panoexec.mission.parallax import SeamTable
 from panoexec.mission.pointing.poses import pose_of, to_north
 from panoexec.pictures.rotations import rotation_of_vector
 from panoexec.planning.model import Certificate, Plan
@@ -89,6 +90,7 @@ class ManifestWriter:
         self._battery = battery
         self._name = name
         self._charges = _earlier_charges(path)
+        self._seams = SeamTable(plan.camera)
         self._dirty = asyncio.Event()
         self._events = record.seq
         self._shots: dict[int, tuple[str, bytes]] = {}
@@ -188,6 +190,7 @@ class ManifestWriter:
             "battery": [{"time": iso_utc(time), "charge_frac": round(charge, 4)} for time, charge in self._charges],
             "warnings": list(record.warnings),
             "certificate": _certificate_json(certificate, record),
+            "parallax": _parallax_json(self._seams.pairs(record)),
             "conventions": CONVENTIONS,
         }
 
@@ -222,6 +225,18 @@ def _content_json(record: MissionRecord) -> dict[str, Any]:
             {"shot": shot, "between": list(record.shots[shot].between or ()), "ties": list(tied)}
             for shot, tied in record.bridge_ties().items()
         ],
+    }
+
+
+def _parallax_json(pairs: Mapping[tuple[int, int], float]) -> dict[str, Any] | None:
+    """The seam errors that the drift is expected to cause; None without positions."""
+    if not pairs:
+        return None
+    (a, b), worst_px = max(pairs.items(), key=lambda item: item[1])
+    return {
+        "worst_px": round(worst_px, 1),
+        "between": [a, b],
+        "pairs": [[a, b, round(error_px, 1)] for (a, b), error_px in sorted(pairs.items())],
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -11,7 +12,7 @@ from panoexec.codec import ByName, Number, Whole, encode
 from panoexec.devices import EvidenceLevel
 from panoexec.mission.log.states import MissionState
 
-NAN = float("nan")
+NAN = math.nan
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

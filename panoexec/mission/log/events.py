@@ -258,6 +258,9 @@ class ShotExposed(ShotEvent):
         open_loop: there is no attitude feedback; the pose is assumed.
         images_before: the camera's image count before the trigger; -1 if unknown.
         may_overlap: outside tolerance, but sharp: the overlaps decide.
+        latitude_deg, longitude_deg: of the vehicle after the exposure; NaN if unknown.
+        altitude_m: above mean sea level.
+        height_m: above the place of take-off.
     """
 
     photos: tuple[Photo, ...]
@@ -271,6 +274,10 @@ class ShotExposed(ShotEvent):
     open_loop: Flag = False
     images_before: Whole = -1
     may_overlap: Flag = False
+    latitude_deg: Number = NAN
+    longitude_deg: Number = NAN
+    altitude_m: Number = NAN
+    height_m: Number = NAN
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -293,7 +300,7 @@ class ShotRejected(ShotEvent):
 
     Attributes:
         code: `not_settled`, `pointing`, `no_samples`, `trigger`, `evidence`, `late_exposure`, `gimbal`, `foreign`,
-            `stale`, `vehicle`, `crash`.
+            `stale`, `vehicle`, `parallax`, `crash`.
         reason: for the pilot, with figures.
     """
 

@@ -20,7 +20,7 @@ function facts(rows) {
 
 const WORDS = {
   pointing: "pointing outside τ", no_samples: "gap in the attitude stream", not_settled: "did not settle", stale: "reports too old", trigger: "camera refused", late_exposure: "exposed late",
-  evidence: "no proof of the photo", gimbal: "gimbal refused", crash: "computer stopped", other: "other",
+  evidence: "no proof of the photo", parallax: "drifted too far", gimbal: "gimbal refused", crash: "computer stopped", other: "other",
 };
 const words = (code) => WORDS[code] || code.replaceAll("_", " ");
 

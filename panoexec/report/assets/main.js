@@ -149,7 +149,8 @@ function proof() {
     check(certificate.connected, certificate.connected ? "The overlap graph is connected" : "The overlap graph is not connected"),
     check(certificate.two_edge_connected, certificate.two_edge_connected ? "It stays connected without any single overlap" : `${plural(certificate.bridges.length, "overlap")} would disconnect the graph if lost`),
     certificate.failures.length ? el("ul", { class: "texts" }, certificate.failures.map((text) => el("li", {}, text))) : null,
-    ...content(certificate.content));
+    ...content(certificate.content),
+    data.parallax && check(null, `Seams of up to ${data.parallax.worst_px.toFixed(0)} px are expected on the ground from the drift`, `shots ${data.parallax.between.join(" and ")}`));
 }
 
 function retakes() {

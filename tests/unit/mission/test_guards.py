@@ -18,14 +18,16 @@ from panoexec.mission.guards import (
     LandedGuard,
     LinkGuard,
     ModeGuard,
+    ParallaxGuard,
     PositionGuard,
     Situation,
     StorageGuard,
     distance_m,
     flight_guards,
+    parallax_guard,
 )
 from panoexec.mission.settings import GuardSettings
-from tests.unit.fakes.world import some_settings
+from tests.unit.fakes.world import a_plan, some_settings
 
 NAN = float("nan")
 METRE = 1 / 111_194.9
@@ -111,6 +113,34 @@ def test_position_has_hysteresis() -> None:
     assert guard.check(away) is None
     assert guard.check(replace(away, holding=frozenset({"position"}))) is not None
     assert guard.check(_vehicle(latitude_deg=47.0 + 3.1 * METRE)) is not None
+
+
+def test_the_drift_that_a_seam_allows_grows_with_the_height() -> None:
+    guard = ParallaxGuard(limit_px=200.0, focal_px=4000.0, steepness=0.5, back_frac=0.7)
+    away = {"latitude_deg": 47.0 + 1.8 * METRE}
+    # 200 px · height / (2 · 4000 px · 0.5): 1.5 m at 30 m, 3 m at 60 m
+    assert guard.check(_vehicle(**away, relative_altitude_m=60.0)) is None
+    found = guard.check(_vehicle(**away, relative_altitude_m=30.0))
+    assert found is not None
+    assert (found.code, found.automatic, found.release) == ("parallax", True, False)
+    assert "1.80 m" in found.reason
+    assert "at most 1.50 m" in found.reason
+    near = _vehicle(latitude_deg=47.0 + 1.2 * METRE, relative_altitude_m=30.0)
+    assert guard.check(near) is None
+    assert guard.check(replace(near, holding=frozenset({"parallax"}))) is not None
+    assert guard.check(_vehicle(**away)) is None, "the height is unknown"
+    assert guard.check(_vehicle(**away, relative_altitude_m=-1.0)) is None
+    sky = ParallaxGuard(limit_px=200.0, focal_px=4000.0, steepness=-0.1, back_frac=0.7)
+    assert sky.check(_vehicle(**away, relative_altitude_m=30.0)) is None
+
+
+def test_the_guard_of_the_seam_follows_the_plan() -> None:
+    plan = a_plan()
+    assert parallax_guard(some_settings(), plan) == ()
+    (guard,) = parallax_guard(some_settings(guards=GuardSettings(parallax_px=50.0)), plan)
+    assert isinstance(guard, ParallaxGuard)
+    assert guard.steepness == pytest.approx(math.sin(math.radians(40)))
+    assert guard.focal_px == pytest.approx(plan.camera.focal_length_px)
 
 
 @pytest.mark.parametrize(
