@@ -29,6 +29,8 @@ from panoexec.planning.model import Tolerance
 
 FORESEEN_FROM_S = 0.25
 """The speed at which a pose goes on is that of the readings of this time: noise of encoders has little part in it."""
+GUST_FROM_S = 0.1
+"""The same for a gimbal in a gust, which turns about within half a period of its control loop (4 Hz)."""
 SPARSE_INTERVALS = 2.5
 """A stream may have gaps of so many of its own intervals: one message is lost now and then."""
 
@@ -71,6 +73,7 @@ class SettleLimits:
         max_rate_deg_s: largest angular speed.
         max_gap_s: longest gap between samples.
         foresee_s: for how long from now on the pose must stay inside tolerance, at its present speed; 0: not judged.
+        gust_s: the same, of the moment of the trigger alone.
         use_reported_rate: whether to use the angular speed that the device reports; else it is computed from the
             attitudes. Without a pan axis the reported one contains the airframe's vibration.
     """
@@ -79,6 +82,7 @@ class SettleLimits:
     max_rate_deg_s: float
     max_gap_s: float
     foresee_s: float = 0.0
+    gust_s: float = 0.0
     use_reported_rate: bool = True
 
 
@@ -97,6 +101,8 @@ class SettleTracker:
         self._newest = math.nan
         self._last: PoseError | None = None
         self._track: deque[tuple[float, float, float, float]] = deque()
+        self._track_s = FORESEEN_FROM_S if limits.foresee_s else GUST_FROM_S if limits.gust_s else 0.0
+        self._leaving_s = -math.inf
         self._problem: str | None = "no attitude sample received"
 
     @property
@@ -114,11 +120,21 @@ class SettleTracker:
     @property
     def settled_at_s(self) -> float:
         """End of the settle time if all further readings are good; NaN if the newest one is bad."""
-        return self._inside_since + self._limits.settle_s
+        if math.isnan(self._inside_since):
+            return math.nan
+        return max(self._inside_since + self._limits.settle_s, self._leaving_s)
 
     def is_settled(self, now_s: float) -> bool:
-        """Whether every sample has been inside tolerance, and slow, for the settle time, and the newest is fresh."""
-        return self.settled_at_s <= now_s + 1e-9 and not self.is_stale(now_s)
+        """Whether every sample has been inside tolerance, and slow, for the settle time, and the newest is fresh.
+
+        Nor is a gust about to take the pose out of the tolerance.
+        """
+        if not self.settled_at_s <= now_s + 1e-9 or self.is_stale(now_s):
+            return False
+        if self._limits.gust_s and self._leaving(self._limits.gust_s):
+            self._leaving_s = self._newest
+            return False
+        return True
 
     @property
     def error(self) -> PoseError | None:
@@ -136,7 +152,7 @@ class SettleTracker:
                 self._track.clear()
                 self._take(reading, inside=False)
                 continue
-            if self._limits.foresee_s:
+            if self._track_s:
                 self._follow(reading.time_s, *next(axes))
             self._take(reading, inside=next(inside))
         if readings:
@@ -171,17 +187,17 @@ class SettleTracker:
         rate = self._rate_deg_s(reading)
         if rate > self._limits.max_rate_deg_s:
             return f"still turning at {rate:.1f}°/s (at most {self._limits.max_rate_deg_s:g}°/s)"
-        return self._leaving() if self._limits.foresee_s else ""
+        return self._leaving(self._limits.foresee_s) if self._limits.foresee_s else ""
 
     def _follow(self, time_s: float, pitch_deg: float, roll_deg: float, yaw_deg: float) -> None:
         self._track.append((time_s, pitch_deg, roll_deg, yaw_deg))
-        while self._track[0][0] < time_s - FORESEEN_FROM_S:
+        while self._track[0][0] < time_s - self._track_s - 1e-6:
             self._track.popleft()
 
-    def _leaving(self) -> str:
-        """Which axis would leave its tolerance during the exposure, at its present speed; "" if none would."""
+    def _leaving(self, ahead_s: float) -> str:
+        """Which axis would leave its tolerance within a time, at its present speed; "" if none would."""
         times, *axes = np.array(self._track).T
-        tolerance, ahead_s = self._target.tolerance, self._limits.foresee_s
+        tolerance = self._target.tolerance
         limits = (tolerance.pitch_deg, tolerance.roll_deg, tolerance.yaw_deg)
         for name, values, limit in zip(("pitch", "roll", "yaw"), axes, limits, strict=True):
             coming_deg = float(values.mean()) + slope(times, values) * (times[-1] - times.mean() + ahead_s)

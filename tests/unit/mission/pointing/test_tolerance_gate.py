@@ -481,6 +481,26 @@ def test_a_sway_is_settled_where_it_stays_inside_for_the_exposure_and_not_where_
     assert leaving.problem == "yaw will be off by +0.623° in 0.20 s (at most 0.5°)"
 
 
+def test_a_gust_that_is_about_to_take_the_pose_out_is_waited_for() -> None:
+    """Once the settle time is over; it does not begin anew, and a pose that stays inside is not waited for."""
+    limits = SettleLimits(settle_s=0.3, max_rate_deg_s=5.0, max_gap_s=0.1, gust_s=0.06)
+
+    def first_s(gust: Callable[[float], float]) -> float:
+        tracker = SettleTracker(target=TARGET, limits=limits)
+        for i in range(60):
+            now_s = 0.02 * i
+            tracker.add(_reading(now_s, yaw=gust(now_s)))
+            if tracker.is_settled(now_s):
+                assert tracker.settled_at_s == pytest.approx(now_s, abs=0.021)
+                return now_s
+        return math.nan
+
+    assert first_s(lambda t: 0.4) == pytest.approx(0.3)
+    # 0.48° at the end of the settle time, and rising by 4.5°/s; from there on it comes back
+    there_and_back = first_s(lambda t: 0.3 + 4.5 * max(0.0, min(t, 0.3) - 0.26) - 4.5 * max(0.0, t - 0.3))
+    assert 0.31 < there_and_back < 0.4
+
+
 @pytest.mark.parametrize(
     ("interval_s", "gap_s"), [(math.nan, 0.1), (0.02, 0.1), (0.05, 0.125), (0.1, 0.25), (0.5, 0.25)]
 )
