@@ -35,6 +35,8 @@ from tests.waiting import eventually
 SPEEDUP = 2
 SOON_S = 60.0
 CONFIGURE, MOUNT_CONTROL = mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE, mavlink.MAV_CMD_DO_MOUNT_CONTROL
+MOUNT = (MOUNT_CONTROL, 5.0, 0.0, 0.0, 0, 0, 0, mavlink.MAV_MOUNT_MODE_MAVLINK_TARGETING)
+ROI = (mavlink.MAV_CMD_DO_SET_ROI_LOCATION, 0, 0, 0, 0, 47.4977, 8.5456, 600.0)
 SET_MODE, REBOOT = mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN
 FORCED = 20190226
 STATION = (255, 190)
@@ -214,13 +216,13 @@ async def control_is_stolen(one: Flight) -> None:
     await one.goes_on(since)
 
 
-async def a_station_points_the_gimbal(one: Flight) -> None:
-    """PX4 denies a station without control DO_GIMBAL_MANAGER_PITCHYAW, but obeys this command, as ArduPilot does."""
-    since = len(one.events)
+async def a_station_points_the_gimbal(one: Flight, *pointing_command: float) -> None:
+    """Both obey DO_MOUNT_CONTROL and a region of interest of a station without control."""
+    since, (number, *params) = len(one.events), pointing_command
 
     async def keep_pointing() -> None:
         while True:
-            one.station.command(MOUNT_CONTROL, 5.0, 0.0, 0.0, 0, 0, 0, mavlink.MAV_MOUNT_MODE_MAVLINK_TARGETING)
+            one.station.command(int(number), *params)
             await asyncio.sleep(0.8)
 
     pointing = asyncio.create_task(keep_pointing())
@@ -232,6 +234,7 @@ async def a_station_points_the_gimbal(one: Flight) -> None:
     finally:
         pointing.cancel()
         await asyncio.gather(pointing, return_exceptions=True)
+        one.station.command(mavlink.MAV_CMD_DO_SET_ROI_NONE)
     await one.resumed()
 
 
@@ -323,7 +326,9 @@ async def test_faults_of_a_flight_end_as_documented(autopilot: Autopilot, tmp_pa
         await one.shots(1)
         await control_is_stolen(one)
         await one.shots(1)
-        await a_station_points_the_gimbal(one)
+        await a_station_points_the_gimbal(one, *MOUNT)
+        await one.shots(1)
+        await a_station_points_the_gimbal(one, *ROI)
         await one.shots(1)
         await the_autopilot_is_silent(one, autopilot)
         await one.shots(1)

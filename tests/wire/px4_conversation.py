@@ -1,6 +1,7 @@
 """A conversation with PX4's gimbal manager, held alike with the real one, to record it, and with the embedded one.
 
-Record: `python -m tests.wire.px4_conversation PX4 FILE` (SIH at normal speed; on the ground, then in the air for RTL).
+Record: `python -m tests.wire.px4_conversation PX4 FILE FILE` (SIH at normal speed; on the ground, then in the air for
+RTL; then, for the second file, with a gimbal on its outputs).
 """
 
 from __future__ import annotations
@@ -99,6 +100,41 @@ def hold_in_air(peer: Peer) -> Iterator[dict[str, Any]]:
         yield {"step": step, "ack": result_of(heard, message.command), "control": control}
 
 
+def hold_aux(peer: Peer) -> Iterator[dict[str, Any]]:
+    """The same with a gimbal on the autopilot's outputs (MNT_MODE_OUT 0), whose attitude nobody measures.
+
+    `turning`: whether a report was anywhere between the attitudes before and after a command.
+    """
+    peer.send(command(INTERVAL, 285, 20_000))
+    peer.listen(2.0)
+    for step, message in (
+        ("request 280", command(REQUEST, 280)),
+        ("request 283 of the autopilot", command(REQUEST, 283)),
+        ("take control, by name", command(CONFIGURE, SYSTEM, COMPONENT, -1, -1, 0, 0, 0)),
+        ("angles, locked", command(PITCHYAW, -30, 60, NAN, NAN, LOCK, 0, 0)),
+        ("angles, locked, elsewhere", command(PITCHYAW, 10, -20, NAN, NAN, LOCK, 0, 0)),
+        ("angles, following", command(PITCHYAW, -60, 20, NAN, NAN, 0, 0, 0)),
+    ):
+        peer.send(_heartbeat())
+        peer.send(message)
+        heard = peer.listen(ANSWER_S)
+        told = [h.message for h in heard if h.name == TO_DEVICE]
+        pitches = [_pitch_of(one) for one in told]
+        ends = {round(pitches[0]), round(pitches[-1])} if pitches else set()
+        yield (
+            {"step": step, "ack": result_of(heard, message.command)}
+            | _answers(heard)
+            | {
+                "senders": sorted({h.component for h in heard if h.name == TO_DEVICE}),
+                "gimbal_device_id": sorted({one.gimbal_device_id for one in told}),
+                "pitch_deg": round(pitches[-1]) if pitches else None,
+                "turning": any(
+                    abs(pitch - end) > 1 for pitch in pitches for end in [min(ends, key=lambda e: abs(e - pitch))]
+                ),
+            }
+        )
+
+
 def _heartbeat() -> Any:
     return mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
 
@@ -126,14 +162,23 @@ def _control(peer: Peer) -> list[int]:
 
 def _pitch(heard: list[Heard]) -> int:
     """Where the device says that it points, whole degrees."""
-    w, x, y, z = [h.message for h in heard if h.name == TO_DEVICE and h.component == GIMBAL][-1].q
-    return round(math.degrees(math.asin(2 * (w * y - z * x))))
+    return round(_pitch_of([h.message for h in heard if h.name == TO_DEVICE and h.component == GIMBAL][-1]))
+
+
+def _pitch_of(message: Any) -> float:
+    w, x, y, z = message.q
+    return math.degrees(math.asin(min(1.0, max(-1.0, 2 * (w * y - z * x)))))
 
 
 def embedded() -> SimConfig:
     """The embedded vehicle for this conversation, on the ground."""
     config = SimConfig(autopilot="px4")
     return dataclasses.replace(config, airframe=dataclasses.replace(config.airframe, in_air=False))
+
+
+def embedded_aux() -> SimConfig:
+    """The embedded vehicle with a gimbal on its outputs."""
+    return dataclasses.replace(embedded(), mount="echo")
 
 
 def _fly(peer: UdpPeer) -> None:
@@ -171,6 +216,24 @@ async def record(binary: Path) -> list[dict[str, Any]]:
         return steps + await asyncio.to_thread(lambda: list(hold_in_air(ground)))
 
 
+async def record_aux(binary: Path) -> list[dict[str, Any]]:
+    """Start the autopilot with a gimbal on its outputs, and hold that conversation."""
+    ground_port, payload_port = free_udp_ports(2)
+    ground = UdpPeer(ground_port)
+    options = SitlOptions(
+        binary=binary,
+        ground_port=ground_port,
+        payload_port=payload_port,
+        speedup=1.0,
+        home=(47.4, 8.5, 488.0, 20.0),
+        parameters={"MNT_MODE_IN": 4, "MNT_MODE_OUT": 0},
+    )
+    async with running_sitl(options):
+        await asyncio.to_thread(ground.listen, 25.0)
+        return await asyncio.to_thread(lambda: list(hold_aux(ground)))
+
+
 if __name__ == "__main__":
-    lines = [json.dumps(step) + "\n" for step in asyncio.run(record(sitl_binary(sys.argv[1])))]
-    Path(sys.argv[2]).write_text("".join(lines), encoding="utf-8")
+    for recorded, file in zip((record, record_aux), sys.argv[2:], strict=False):
+        lines = [json.dumps(step) + "\n" for step in asyncio.run(recorded(sitl_binary(sys.argv[1])))]
+        Path(file).write_text("".join(lines), encoding="utf-8")

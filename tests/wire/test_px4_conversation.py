@@ -10,11 +10,18 @@ import pytest
 
 from panoexec.sim.config import SimConfig
 from tests.repository import ROOT
-from tests.wire.px4_conversation import embedded, hold, hold_in_air
+from tests.wire.px4_conversation import embedded, embedded_aux, hold, hold_aux, hold_in_air
 from tests.wire.sim_peer import EmbeddedPeer
 
-DATA = ROOT / "tests" / "data" / "px4-conversation.jsonl"
-LINES = [json.loads(line) for line in DATA.read_text(encoding="utf-8").splitlines()]
+DATA = ROOT / "tests" / "data"
+
+
+def _lines(name: str) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (DATA / name).read_text(encoding="utf-8").splitlines()]
+
+
+LINES = _lines("px4-conversation.jsonl")
+AUX = _lines("px4-aux-conversation.jsonl")
 RECORDED = {line["step"]: line for line in LINES}
 
 
@@ -33,3 +40,11 @@ def test_the_recording_is_of_the_same_conversation() -> None:
 @pytest.mark.parametrize("step", RECORDED)
 def test_answers_as_px4_did(step: str) -> None:
     assert said()[step] == RECORDED[step]
+
+
+def test_a_gimbal_on_outputs_is_echoed_as_px4_does() -> None:
+    """Its attitude is the demanded one at once: nobody measures it."""
+    assert [json.loads(json.dumps(step)) for step in hold_aux(EmbeddedPeer(embedded_aux()))] == AUX
+    angles = [step for step in AUX if step["step"].startswith("angles")]
+    assert [step["pitch_deg"] for step in angles] == [-30, 10, -60]
+    assert not any(step["turning"] for step in angles)

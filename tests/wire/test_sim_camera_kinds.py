@@ -133,7 +133,7 @@ def test_px4_triggers_by_digicam_control_alone() -> None:
     peer = peer_of("px4-trigger")
     for number in (259, 262, 263):
         peer.send(command(REQUEST, number, to=1))
-        assert result_of(peer.listen(0.3), REQUEST) == UNSUPPORTED
+        assert result_of(peer.listen(0.3), REQUEST) == DENIED
     assert shot(peer, to=1)[0] == UNSUPPORTED
     peer.send(command(DIGICAM, 0, 0, 0, 0, 1, to=1))
     heard = peer.listen(1.0)

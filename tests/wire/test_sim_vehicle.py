@@ -218,7 +218,7 @@ def test_px4_default_streams_device_id_and_denial_without_control() -> None:
     assert ask(peer, command(PITCHYAW, -20, 0, NAN, NAN, LOCK, 0, 154))[0] == ACCEPTED
     peer.listen(2.0)
     assert peer.simulation.physics.estimate.pitch_deg == pytest.approx(-20, abs=0.1)
-    assert ask(peer, command(REQUEST, 50_000))[0] == mavlink.MAV_RESULT_UNSUPPORTED
+    assert ask(peer, command(REQUEST, 50_000))[0] == DENIED
 
 
 def test_a_servo_mount_reports_the_demand_relative_to_the_airframe() -> None:

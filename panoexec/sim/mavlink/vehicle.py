@@ -275,7 +275,7 @@ class Vehicle:
 
     def _command(self, source: Component, command: Command) -> int | None:
         """Execute a command; return the MAV_RESULT, or None for no acknowledgement."""
-        unknown = mavlink.MAV_RESULT_FAILED if self._config.autopilot == "ardupilot" else mavlink.MAV_RESULT_UNSUPPORTED
+        unknown = mavlink.MAV_RESULT_FAILED if self._config.autopilot == "ardupilot" else mavlink.MAV_RESULT_DENIED
         common = source.common_command(command, unknown_message=unknown)
         if common is not None:
             return common
