@@ -1,7 +1,7 @@
 """Recognises that another station points the gimbal, though the mission has control of it.
 
-ArduPilot carries out MAV_CMD_DO_MOUNT_CONTROL and the ROI commands of any station at once, whoever is in control, and
-tells nobody else of them; PX4 carries out the former. What is left to see is the gimbal: it leaves the way to its
+ArduPilot and PX4 carry out MAV_CMD_DO_MOUNT_CONTROL and the ROI commands of any station at once, whoever is in control,
+and tell nobody else of them. What is left to see is the gimbal: it leaves the way to its
 target, or the target, and comes to rest elsewhere.
 
 * One that is stuck stays where it is: it never turns away from its target.
