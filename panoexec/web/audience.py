@@ -23,14 +23,18 @@ class Browser:
         user: who it is.
         name: in the log.
         follows: id of a vehicle; None for the list of all.
-        too_slow: whether more waits than may.
+        token: of its session; None without one.
+        ended: whether nothing is sent any more, because more waits than may, or its session is over.
+        on_end: called then; closes the connection, even if it is stuck in the middle of a message.
     """
 
-    def __init__(self, user: User, *, name: str) -> None:
+    def __init__(self, user: User, *, name: str, token: str | None = None) -> None:
         self.user = user
         self.name = name
         self.follows: str | None = None
-        self.too_slow = False
+        self.token = token
+        self.ended = False
+        self.on_end: Callable[[], None] = lambda: None
         self.commands: deque[float] = deque(maxlen=64)
         self._queue: deque[str] = deque()
         self._bytes = 0
@@ -38,22 +42,28 @@ class Browser:
 
     def put(self, message: str) -> None:
         """Queue a message."""
-        if self.too_slow:
+        if self.ended:
             return
         self._queue.append(message)
         self._bytes += len(message)
         if self._bytes > QUEUE_BYTES and len(self._queue) > 1:
-            self.too_slow = True
-            self._queue.clear()
+            self.end()
+        self._filled.set()
+
+    def end(self) -> None:
+        """Cut it off."""
+        self.ended = True
+        self._queue.clear()
+        self.on_end()
         self._filled.set()
 
     async def deliver(self, send: Callable[[str], Awaitable[None]]) -> None:
-        """Send what is queued, until the browser is too slow.
+        """Send what is queued, until the browser is cut off.
 
         Raises:
             TimeoutError: a message was not taken in time.
         """
-        while not self.too_slow:
+        while not self.ended:
             self._filled.clear()
             while self._queue:
                 message = self._queue.popleft()

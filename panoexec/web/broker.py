@@ -34,7 +34,9 @@ _KINDS: Final = {"status": 0, "state": 0, "plan": 1, "event": 1}
 """Topics of a vehicle and their QoS: states are outdated when the link is back, events are not."""
 
 MAX_THUMBNAIL: Final = 64 * 1024
-_LARGEST_MESSAGE: Final = 16 * 1024 * 1024
+_LARGEST: Final = {"plan": 4 << 20, "state": 1 << 18}
+_LARGEST_OTHER: Final = 1 << 20
+"""Bytes of a message; what is larger is none of panoexec's."""
 
 _log = structlog.get_logger(__name__)
 
@@ -239,7 +241,7 @@ def parsed(topic: str, payload: object) -> Heard | None:  # noqa: PLR0911  (one 
         payload: bytes of the message.
     """
     vehicle, _, rest = topic.partition("/")
-    if not isinstance(payload, bytes) or not is_vehicle(vehicle) or len(payload) > _LARGEST_MESSAGE:
+    if not isinstance(payload, bytes) or not is_vehicle(vehicle) or len(payload) > _LARGEST.get(rest, _LARGEST_OTHER):
         return None
     if rest == "status":
         text = payload.decode(errors="replace")
@@ -249,7 +251,7 @@ def parsed(topic: str, payload: object) -> Heard | None:  # noqa: PLR0911  (one 
     document: Any = None
     if payload:
         try:
-            document = json.loads(payload)
+            document = json.loads(payload, parse_constant=_no_constant)
         except (ValueError, RecursionError):
             return None
     if rest in _KINDS:
@@ -260,6 +262,10 @@ def parsed(topic: str, payload: object) -> Heard | None:  # noqa: PLR0911  (one 
     if command != rest and "/" not in command and isinstance(document, dict):
         return Response(vehicle=vehicle, command=command, document=document)
     return None
+
+
+def _no_constant(name: str) -> object:
+    raise ValueError(f"{name} is not JSON")
 
 
 def _thumbnail(vehicle: str, levels: list[str], payload: bytes) -> Thumbnail | None:

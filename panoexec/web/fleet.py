@@ -181,9 +181,10 @@ class Fleet:
         vehicle.state, vehicle.changed = state, True
         mission_id = state.get("mission_id")
         if is_mission(mission_id):
-            mission = self._mission(vehicle, str(mission_id))
+            mission, new = self._mission(vehicle, str(mission_id))
             if (name := text(state.get("name"), 80)) != mission.name:
-                mission.name = name
+                mission.name, new = name, True
+            if new:
                 self._tell_mission(vehicle)
         self._tell_state(vehicle)
 
@@ -208,7 +209,9 @@ class Fleet:
         mission = vehicle.mission
         if mission is not None and mission.id and mission_id < mission.id:
             return  # a photo of an earlier mission that was stored late
-        mission = self._mission(vehicle, mission_id)
+        mission, begun = self._mission(vehicle, mission_id)
+        if begun:
+            self._tell_mission(vehicle)
         new, entry, index = mission.take_event(event)
         if not new or not self._audience.is_followed(vehicle.id):
             return
@@ -220,7 +223,7 @@ class Fleet:
         kind = event.get("type")
         if kind == "content_judged":
             self._audience.tell(vehicle.id, encode("content", **where, content=mission.content))
-        elif kind == "patch_planned":
+        elif kind in {"patch_planned", "bridge_planned"}:
             self._tell_mission(vehicle)
 
     def _take_thumbnail(self, vehicle: Vehicle, thumbnail: Thumbnail) -> None:
@@ -242,11 +245,11 @@ class Fleet:
             encode("thumbnail", vehicle=vehicle.id, mission_id=thumbnail.mission_id, shot=thumbnail.shot, url=url),
         )
 
-    def _mission(self, vehicle: Vehicle, mission_id: str) -> Mission:
-        """The vehicle's mission of this id, a new one in place of an earlier one."""
+    def _mission(self, vehicle: Vehicle, mission_id: str) -> tuple[Mission, bool]:
+        """The vehicle's mission of this id, a new one in place of an earlier one, and whether it is new."""
         mission = vehicle.mission
         if mission is not None and mission.id == mission_id:
-            return mission
+            return mission, False
         if mission is not None and not mission.id:
             mission.id = mission_id  # its plan came first
         else:
@@ -255,8 +258,7 @@ class Fleet:
                 mission.take_plan(vehicle.next_plan, guess=True)
                 vehicle.next_plan = None
         self.on_mission(vehicle.id, mission_id)
-        self._tell_mission(vehicle)
-        return mission
+        return mission, True
 
     def _tell_mission(self, vehicle: Vehicle) -> None:
         if vehicle.mission is not None and self._audience.is_followed(vehicle.id):

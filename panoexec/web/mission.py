@@ -102,7 +102,7 @@ class Mission:
             self._events.append(entry)
         if kind == "content_judged":
             self._content = _content(event)
-        elif kind == "patch_planned":
+        elif kind in {"patch_planned", "bridge_planned"}:
             self._take_patches(event)
         elif kind.startswith(("shot_", "photo_")) and index is not None:
             _fold(self._shot(index), kind, event)

@@ -222,5 +222,5 @@ def _no_constant(name: str) -> object:
 
 
 def encode(kind: str, **fields: Any) -> str:
-    """A message to a browser."""
-    return json.dumps({"type": kind, **fields}, separators=(",", ":"), ensure_ascii=False)
+    """A message to a browser, in ASCII: half of a surrogate pair, which JSON may have, is no UTF-8."""
+    return json.dumps({"type": kind, **fields}, separators=(",", ":"))

@@ -115,6 +115,11 @@ def _patches(event: Mapping[str, Any]) -> tuple[str, str]:
     return "info", f"{count} shot{'s' if count != 1 else ''} added to close holes of the measured attitudes"
 
 
+def _bridge(event: Mapping[str, Any]) -> tuple[str, str]:
+    count = len(wholes(event.get("shots")))
+    return "info", f"{count} shot{'s' if count != 1 else ''} added between photos that share too little to be tied"
+
+
 def _simple(level: str, told: str) -> Any:
     return lambda event: (level, f"{told}{_because(event)}")
 
@@ -140,6 +145,7 @@ _SPECIAL: Final[Mapping[str, Any]] = {
         else ("warning", "Gimbal released, without confirmation")
     ),
     "patch_planned": _patches,
+    "bridge_planned": _bridge,
     "shot_exposed": _exposed,
     "shot_accepted": _accepted,
     "shot_rejected": _of_shot("warning", "rejected"),
