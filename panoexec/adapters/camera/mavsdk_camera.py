@@ -17,23 +17,17 @@ import structlog
 from mavsdk.plugins.camera import Camera
 
 from panoexec.adapters.camera.camera_choice import CAPTURES_VIDEO, HAS_MODES, CameraCandidate
-from panoexec.adapters.camera.camera_clock import APART_S, CameraClock
 from panoexec.adapters.camera.camera_discovery import CameraDiscovery
 from panoexec.adapters.camera.camera_kind import CameraKind, OpenCamera
-from panoexec.adapters.camera.camera_pace import CameraPace
-from panoexec.adapters.camera.camera_storage import CameraStorage
+from panoexec.adapters.camera.camera_reports import CameraReports
 from panoexec.adapters.camera.capture import Capture
-from panoexec.adapters.camera.capture_matching import CaptureMatcher
-from panoexec.adapters.camera.capture_messages import captured_report, feedback_report, file_is_there, px4_report
-from panoexec.adapters.camera.deferral import Deferral, has_feedback_pin, least_interval_s
+from panoexec.adapters.camera.deferral import has_feedback_pin, least_interval_s
 from panoexec.adapters.camera.mavlink_camera_found import MavlinkCameraFound
 from panoexec.adapters.camera.photo_mode import PhotoMode
-from panoexec.adapters.camera.photo_recall import CAPTURE_STATUS, IMAGE_CAPTURED, recall_images, recall_trigger
+from panoexec.adapters.camera.photo_recall import CAPTURE_STATUS, recall_images, recall_trigger
 from panoexec.adapters.link.mavsdk_errors import MAV_RESULTS
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.mavsdk_requests import REQUEST_MESSAGE
-from panoexec.adapters.link.message_hub import MavMessage
-from panoexec.adapters.link.stream_keeper import AUTOPILOT
 from panoexec.clock import latest_s
 from panoexec.devices import EvidenceLevel, PendingCapture, RecalledPhotos
 from panoexec.errors import DeviceError, PanoexecError
@@ -46,8 +40,6 @@ DO_DIGICAM_CONTROL: Final = 203
 
 _FIRST_REPORT_S: Final = 20.0
 """A camera that has not reported a photo by then does not report photos."""
-_SYNCHRONISE_S: Final = 4.0
-"""A stamp of the camera's clock that is older than this (mission seconds) is asked for anew at the next photo."""
 _SILENT_S: Final = 15.0
 _MODE_AGAIN_S: Final = 5.0
 
@@ -82,23 +74,14 @@ class MavsdkCamera:
         self._link = link
         self._component = component
         self._feedback_pin = feedback_pin
-        self._found: MavlinkCameraFound | None = None
         self._discovery = CameraDiscovery(link, component=component, image_px=image_px)
         self._mode: PhotoMode | None = None
         self._mode_checked_s = -math.inf
         self._prepared = False
-        self._pace = CameraPace()
-        self._stamps = CameraClock()
-        self._matcher = CaptureMatcher(self._stamps)
-        self._deferral = Deferral(self._matcher)
-        self._synchronised_s = -math.inf
-        self._storage = CameraStorage(mib_per_image=mib_per_image)
+        self._reports = CameraReports(link, component=component, mib_per_image=mib_per_image)
         self._numbers = 0
-        self._last_index = -1
         self._first_trigger_s = math.nan
-        self._heard_s = -math.inf
         self._triggering = asyncio.Lock()
-        self._recalling = False
         self._off: list[Callable[[], None]] = []
 
     # --- state
@@ -106,45 +89,37 @@ class MavsdkCamera:
     @property
     def found(self) -> MavlinkCameraFound | None:
         """What discovery found; None before."""
-        return self._found
+        return self._reports.found
 
     @property
     def storage_free_images(self) -> float:
         """See `Camera.storage_free_images`."""
-        found = self._found
-        return self._storage.free_images(0 if found is None else found.image_width_px * found.image_height_px)
+        found = self._reports.found
+        return self._reports.storage.free_images(0 if found is None else found.image_width_px * found.image_height_px)
 
     @property
     def surplus_photos(self) -> int:
         """Number of reported photos that panoexec did not trigger."""
-        return self._matcher.foreign_photos
+        return self._reports.matcher.foreign_photos
 
     @property
     def age_s(self) -> float:
         """Real seconds since the camera's last message; infinity before."""
-        if self._found is not None and self._found.by_autopilot:
+        if self._reports.found is not None and self._reports.found.by_autopilot:
             return self._link.heartbeat_age_s
-        beat = self._link.components.get(self._found.component if self._found else 0, (0, -math.inf))[1]
-        return time.monotonic() - max(beat, self._heard_s)
+        beat = self._link.components.get(self._reports.found.component if self._reports.found else 0, (0, -math.inf))[1]
+        return time.monotonic() - max(beat, self._reports.heard_s)
 
     @property
     def is_present(self) -> bool:
         """See `OpenCamera.is_present`."""
-        return self._found is not None and self.age_s < _SILENT_S
+        return self._reports.found is not None and self.age_s < _SILENT_S
 
     # --- life
 
     async def __aenter__(self) -> Self:
         """Subscribe to messages."""
-        on = self._link.on
-        self._off = [
-            on("CAMERA_IMAGE_CAPTURED", self._image_captured),
-            on("CAMERA_FEEDBACK", self._feedback),
-            on("CAMERA_CAPTURE_STATUS", self._capture_status),
-            on("CAMERA_INFORMATION", self._stamped),
-            on("STORAGE_INFORMATION", self._stored),
-            *self._discovery.subscribe(),
-        ]
+        self._off = [*self._reports.subscribe(), *self._discovery.subscribe()]
         return self
 
     async def __aexit__(
@@ -164,8 +139,8 @@ class MavsdkCamera:
             DeviceError: no camera; the message says what is missing.
             LinkError: no autopilot.
         """
-        if self._found is not None:
-            return self._found
+        if self._reports.found is not None:
+            return self._reports.found
         self._link.requests.plugin(Camera)
         try:
             async with asyncio.timeout(timeout_s):
@@ -186,17 +161,17 @@ class MavsdkCamera:
             why=choice.reason,
         )
         if found.by_autopilot:
-            self._deferral.by_autopilot = True
-            self._deferral.told_s = await least_interval_s(self._link, own_trigger=own_trigger)
-            self._pace.told(self._deferral.told_s or 0.0)
+            self._reports.deferral.by_autopilot = True
+            self._reports.deferral.told_s = await least_interval_s(self._link, own_trigger=own_trigger)
+            self._reports.pace.told(self._reports.deferral.told_s or 0.0)
         elif camera.flags & (HAS_MODES | CAPTURES_VIDEO):
             self._mode = PhotoMode(self._link, camera.component)
             await self._mode.read()
-        self._found = found
+        self._reports.found = found
         if not own_trigger:
             for message in (STORAGE_INFORMATION, CAPTURE_STATUS):
                 with contextlib.suppress(DeviceError):  # then they are unknown
-                    await self._link.requests.command(REQUEST_MESSAGE, [message], component=self._target)
+                    await self._link.requests.command(REQUEST_MESSAGE, [message], component=self._reports.target)
         others = [one.summary for one in self._discovery.candidates if one.component != found.component]
         _log.info("camera found", camera=found, others=others)
         return found
@@ -224,13 +199,15 @@ class MavsdkCamera:
             capture = Capture(
                 self._numbers,
                 clock=clock,
-                poll=None if found.own_trigger else self._poll_status,
-                synchronise=self._synchronise,
-                defer_s=self._deferral.may_defer_s(is_first=self._numbers == 1, clock_is_related=self._stamps.related),
-                must_report=self._deferral.must_report,
+                poll=None if found.own_trigger else self._reports.poll,
+                synchronise=self._reports.synchronise,
+                defer_s=self._reports.deferral.may_defer_s(
+                    is_first=self._numbers == 1, clock_is_related=self._reports.stamps.related
+                ),
+                must_report=self._reports.deferral.must_report,
             )
             capture.commanded(clock.monotonic())
-            self._matcher.enter(capture)
+            self._reports.matcher.enter(capture)
             try:
                 capture.acknowledged(await self._fire(capture, found))
             except DeviceError as error:
@@ -240,7 +217,7 @@ class MavsdkCamera:
                     if refused:
                         await self._refused(capture)
                     raise
-            self._pace.accepted(capture.commanded_s)
+            self._reports.pace.accepted(capture.commanded_s)
             return capture
 
     async def _fire(self, capture: Capture, found: MavlinkCameraFound) -> float:
@@ -270,13 +247,13 @@ class MavsdkCamera:
         if capture.is_reported:
             _log.info("a trigger that was not accepted was carried out later", number=capture.number)
             return True
-        self._deferral.vain_waits += 1
+        self._reports.deferral.vain_waits += 1
         return False
 
     async def _refused(self, capture: Capture) -> None:
         """Learn from a refusal: too soon, or not in photo mode (a camera that restarted in flight forgets it)."""
-        self._matcher.withdraw(capture)
-        self._pace.refused(capture.commanded_s)
+        self._reports.matcher.withdraw(capture)
+        self._reports.pace.refused(capture.commanded_s)
         now_s = self._link.clock.monotonic()
         if self._mode is not None and self._prepared and now_s - self._mode_checked_s > _MODE_AGAIN_S:
             self._mode_checked_s = now_s
@@ -298,17 +275,17 @@ class MavsdkCamera:
     @property
     def focal_length_mm(self) -> float:
         """See `TellsLens.focal_length_mm`: CAMERA_INFORMATION."""
-        return math.nan if self._found is None else self._found.focal_length_mm
+        return math.nan if self._reports.found is None else self._reports.found.focal_length_mm
 
     @property
     def interval_s(self) -> float:
         """See `PacesPhotos.interval_s`."""
-        return self._pace.interval_s
+        return self._reports.pace.interval_s
 
     @property
     def ready_s(self) -> float:
         """See `PacesPhotos.ready_s`."""
-        return self._pace.ready_s
+        return self._reports.pace.ready_s
 
     async def prepare(self) -> str:
         """See `PreparesForPhotos.prepare`: photo mode."""
@@ -325,115 +302,26 @@ class MavsdkCamera:
     @property
     def image_count(self) -> int:
         """See `PhotoRecall.image_count`."""
-        return self._matcher.image_count
+        return self._reports.matcher.image_count
 
     @property
     def reports_photos(self) -> bool:
         """See `ReportsPhotos.reports_photos`: a camera of its own, unless its first photos came without a report."""
-        if self._found is None or self._found.by_autopilot:
+        if self._reports.found is None or self._reports.found.by_autopilot:
             return False
         unreported_s = self._link.clock.monotonic() - self._first_trigger_s
-        return self._last_index >= 0 or not unreported_s > _FIRST_REPORT_S
+        return self._reports.any_photo or not unreported_s > _FIRST_REPORT_S
 
     async def recall(self) -> RecalledPhotos:
         """See `PhotoRecall.recall`: for a mission that goes on, before it takes a photo of its own."""
         found = await self.discover()
-        self._recalling = True
+        self._reports.recalling = True
         try:
             if found.by_autopilot:
-                return await recall_trigger(self._link, component=self._target, pin=found.feedback_pin)
-            return await recall_images(self._link, component=self._target)
+                return await recall_trigger(self._link, component=self._reports.target, pin=found.feedback_pin)
+            return await recall_images(self._link, component=self._reports.target)
         finally:
-            self._recalling = False
-
-    # --- in MAVSDK's thread
-
-    def _image_captured(self, message: MavMessage) -> None:
-        if self._is_ours(message):
-            own_trigger = self._found is not None and self._found.own_trigger
-            self._link.post(self._report_feedback if own_trigger else self._report_captured, message)
-
-    def _feedback(self, message: MavMessage) -> None:
-        if message.component_id == AUTOPILOT:
-            self._link.post(self._report_feedback, message)
-
-    def _capture_status(self, message: MavMessage) -> None:
-        if self._is_ours(message):
-            self._stamped(message)
-            self._link.post(self._matcher.counted, int(message.fields["image_count"]), message.received_s)
-
-    def _stamped(self, message: MavMessage) -> None:
-        if self._is_ours(message):
-            self._heard_s = time.monotonic()
-            self._link.post(self._take_stamp, message.fields["time_boot_ms"] / 1000.0, message.received_s)
-
-    def _stored(self, message: MavMessage) -> None:
-        if self._is_ours(message):
-            self._stamped(message)
-            self._storage.note(message)
-
-    def _is_ours(self, message: MavMessage) -> bool:
-        wanted = self._found.component if self._found is not None else self._component
-        return wanted > 0 and message.component_id == (AUTOPILOT if wanted <= 6 else wanted)
-
-    # --- on the loop
-
-    @property
-    def _target(self) -> int:
-        """Target component of commands: the autopilot for its own shutters."""
-        return self._found.component if self._found is not None and not self._found.by_autopilot else AUTOPILOT
-
-    def _take_stamp(self, stamp_s: float, received_s: float) -> None:
-        """Relate the camera's clock to ours by a message that was stamped when it was sent."""
-        self._synchronised_s = received_s
-        self._stamps.note(stamp_s, received_s)
-        self._matcher.redate(self._link.clock.monotonic())
-
-    async def _synchronise(self) -> None:
-        """Ask for a message that is stamped when it is sent, if the last one is old."""
-        target, now_s = self._target, self._link.clock.monotonic()
-        if target != AUTOPILOT and now_s - self._synchronised_s > _SYNCHRONISE_S:
-            await self._link.requests.command(REQUEST_MESSAGE, [CAPTURE_STATUS], component=target)
-
-    def _report_captured(self, message: MavMessage) -> None:
-        self._heard_s = time.monotonic()
-        report = captured_report(message, self._stamps)
-        self._last_index = max(self._last_index, report.index)
-        if not self._recalling:  # messages sent on request are no new photos
-            self._matcher.report(report)
-
-    def _report_feedback(self, message: MavMessage) -> None:
-        if self._recalling:
-            return
-        self._deferral.reports += 1
-        pin = self._found is not None and self._found.feedback_pin
-        report = feedback_report(message, pin=pin) if message.name == "CAMERA_FEEDBACK" else px4_report(message)
-        capture = self._matcher.report(report)
-        if capture is not None:
-            self._pace.triggered(report.exposed_s, capture.commanded_s)
-
-    async def _poll_status(self, capture: Capture) -> None:
-        """Check for the file of a reported photo; else request the image count and a report that may have been lost.
-
-        The first image has the index 0 by the protocol and 1 with some cameras. So the requested index is one more than
-        the last reported one, or, before the first report, the image count minus one.
-        """
-        link, target = self._link, self._target
-        if capture.known.level >= EvidenceLevel.CAPTURE_MESSAGE:
-            if file_is_there(capture.known.file_url):
-                capture.file_seen(link.clock.monotonic())
-            return
-        try:
-            status = await link.requests.message(CAPTURE_STATUS, "CAMERA_CAPTURE_STATUS", component=target)
-            if self._stamps.suspicious:
-                await link.clock.sleep(APART_S)
-                await link.requests.command(REQUEST_MESSAGE, [CAPTURE_STATUS], component=target)
-        finally:
-            self._matcher.redate(link.clock.monotonic())
-        images = int(status.fields["image_count"])
-        if target != AUTOPILOT and images > 0:
-            index = self._last_index + 1 if self._last_index >= 0 else images - 1
-            await link.requests.command(REQUEST_MESSAGE, [IMAGE_CAPTURED, index], component=target)
+            self._reports.recalling = False
 
 
 def _open(section: CameraSection, link: MavsdkLink, spool: Path | None) -> AbstractAsyncContextManager[OpenCamera]:
