@@ -17,8 +17,8 @@ from panoexec.doctor.camera_photos import examine_interval, measure_photos
 from panoexec.doctor.findings import Findings
 from panoexec.errors import DeviceError, PanoexecError
 from panoexec.inputs.camera_profiles import configured_profile
-from panoexec.inputs.config import Config
-from panoexec.mission.protocols import PacesPhotos
+from panoexec.inputs.config import Config, LockSection
+from panoexec.mission.protocols import PacesPhotos, PreparesForPhotos
 
 _ENOUGH_PHOTOS: Final = 100
 
@@ -61,6 +61,8 @@ async def check_camera(
                     await measure_photos(one, link.clock, config, findings)
                 elif isinstance(one, PacesPhotos):
                     examine_interval(one.interval_s, config, findings)
+            if not in_use:
+                await _examine_lock(one, config, findings)
     except DeviceError as error:
         kind = KINDS[config.camera.trigger]
         parameters = [advise("camera", findings.autopilot)] if kind.set_by_autopilot else []
@@ -103,6 +105,22 @@ async def _photo_mode(camera: OpenCamera, findings: Findings) -> AsyncIterator[b
         yield not problem
     finally:
         await camera.restore()
+
+
+async def _examine_lock(camera: OpenCamera, config: Config, findings: Findings) -> None:
+    """Make the settings of `[camera.lock]`, and put them back."""
+    if config.camera.lock == LockSection() or not isinstance(camera, PreparesForPhotos):
+        return
+    try:
+        problem = await camera.prepare()
+    except DeviceError as error:
+        problem = str(error)
+    finally:
+        await camera.restore()
+    if problem:
+        findings.missing("camera", "lock", problem, needed="the settings of [camera.lock]", advice="[camera.lock]")
+    else:
+        findings.ok("camera", "lock", "the settings of [camera.lock] can be made, and were put back")
 
 
 def _examine_size(found: CameraFound, config: Config, findings: Findings) -> None:

@@ -20,8 +20,9 @@ from panoexec.dryrun.lockstep import Lockstep
 from panoexec.dryrun.pilot import MavsdkPilot
 from panoexec.dryrun.rigs import Rig, VehicleUnderTest
 from panoexec.errors import DeviceError
-from panoexec.inputs.config import CameraSection
+from panoexec.inputs.config import CameraSection, LockSection
 from panoexec.mission.settings import MissionSettings
+from panoexec.sim.config import SimConfig
 from panoexec.store.session import Devices
 
 FIND_S = 30.0
@@ -33,9 +34,16 @@ HOVER_M = 30.0
 
 @asynccontextmanager
 async def devices_on(
-    vehicle_under_test: VehicleUnderTest, *, images: Path | None, clock: Clock, note: Callable[[str], None]
+    vehicle_under_test: VehicleUnderTest,
+    *,
+    images: Path | None,
+    clock: Clock,
+    note: Callable[[str], None],
+    lock: LockSection | None = None,
 ) -> AsyncIterator[tuple[Devices, Rig]]:
     """The devices of a running vehicle, discovered and streaming; airborne, if the rig is ours to fly.
+
+    Settings of `lock` are made on the camera, and must not change within the panorama.
 
     The vehicle lands after the block, unless the block failed: then the simulation is just stopped.
 
@@ -62,7 +70,10 @@ async def devices_on(
             follower = ClockFollower(clock)
             stack.enter_context(follower.following(link))
         gimbal = await stack.enter_async_context(MavsdkGimbal(link))
-        section = CameraSection(trigger="gphoto2", port=rig.camera) if rig.camera else CameraSection()
+        locked = lock or LockSection()
+        section = CameraSection(lock=locked)
+        if rig.camera:
+            section = CameraSection(trigger="gphoto2", port=rig.camera, lock=locked)
         camera = await stack.enter_async_context(open_camera(section, link))
         vehicle = await stack.enter_async_context(MavsdkVehicle(link))
         await link.wait_autopilot(FIND_S)
@@ -92,6 +103,22 @@ async def devices_on(
         else:
             rig.about["landed"] = True
             note("landed and disarmed")
+
+
+def lock_on(simulation: SimConfig, *, images: bool) -> LockSection:
+    """What is locked on the simulated camera: all that it offers.
+
+    Args:
+        simulation: the vehicle.
+        images: whether there are photos, one of which the exposure can be metered by.
+    """
+    if simulation.camera.definition == "none" or simulation.camera_kind != "mavlink":
+        return LockSection()
+    if images:
+        return LockSection(exposure="first", white_balance="Daylight", focus="manual")
+    return LockSection(
+        exposure="manual", shutter_s=0.002, aperture=5.6, iso=100, white_balance="Daylight", focus="manual"
+    )
 
 
 def _streams(rig: Rig, clock: Clock) -> tuple[Stream, ...]:

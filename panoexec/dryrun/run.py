@@ -19,7 +19,7 @@ from typing import Any, Literal
 from panoexec.clock import SystemClock
 from panoexec.devices import EvidenceLevel
 from panoexec.dryrun.autopilot import sitl_binary
-from panoexec.dryrun.devices import devices_on, settings_on
+from panoexec.dryrun.devices import devices_on, lock_on, settings_on
 from panoexec.dryrun.rigs import ConnectedVehicle, EmbeddedVehicle, SitlVehicle, VehicleUnderTest
 from panoexec.errors import LinkError, UsageError
 from panoexec.mission.executor import Mission
@@ -272,7 +272,8 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
     if images:
         output = stored.directory.path / CARD if tethered else stored.directory.images
     try:
-        async with devices_on(vehicle, images=output, clock=clock, note=note) as (devices, rig):
+        lock = lock_on(simulation, images=images)
+        async with devices_on(vehicle, images=output, clock=clock, note=note, lock=lock) as (devices, rig):
             opened = MissionSession.opened(
                 stored,
                 devices=devices,

@@ -184,9 +184,10 @@ class CameraSection(Section):
             raise ValueError('trigger = "serial" needs serial_port, for example "/dev/serial/by-id/…"')
         if self.trigger != "gphoto2" and (self.port or self.model):
             raise ValueError('port and model name a tethered camera: they need trigger = "gphoto2"')
-        if self.trigger != "gphoto2" and self.lock != LockSection():
+        if self.trigger == "serial" and self.lock != LockSection():
             raise ValueError(
-                'the settings of [camera.lock] are made on a tethered camera: they need trigger = "gphoto2"'
+                "the settings of [camera.lock] are made over the camera's link: they need "
+                'trigger = "gphoto2", or "mavlink" with a camera that offers a camera definition'
             )
         if self.serial_line == "bytes" and not self.serial_bytes:
             raise ValueError('serial_line = "bytes" needs serial_bytes, the text to send')

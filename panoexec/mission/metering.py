@@ -105,9 +105,12 @@ async def meter_exposure(context: MissionContext, shooter: Shooter) -> str:
             shot = where_to_meter(shots, reference_yaw_north_deg=reference_deg, sun_deg=sun_deg)
             # it need not settle there to be metered
             await shooter.approach(shot, patience_s=context.settings.patience_s, clear=lambda: None)
-        return await camera.meter(known)
+        problem = await camera.meter(known)
+        if known is None and not problem:  # it took a photo
+            await context.clock.sleep(context.settings.interval_s)
     except DeviceError as error:
-        return f"the exposure cannot be metered: {error}"
+        problem = f"the exposure cannot be metered: {error}"
+    return problem
 
 
 def first_settings(record: MissionRecord) -> PhotoExif | None:

@@ -101,6 +101,11 @@ CAMERA_KINDS: Final[dict[str, CameraKindSpec]] = {
     "index-reset": CameraKindSpec(
         text="restarts after its third photo: image index and clock begin anew", camera={"reset_after": 3}
     ),
+    "definition": CameraKindSpec(
+        text="offers a camera definition (by MAVLink FTP): exposure, white balance and focus can be set; until then it "
+        "meters each photo by itself",
+        camera={"definition": "mftp"},
+    ),
     "undated": CameraKindSpec(
         text="reports its photos without a time, and its shutter opens 0.4 s after the command",
         camera={"undated": True, "latency_s": 0.4},

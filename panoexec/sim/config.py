@@ -14,6 +14,7 @@ MountKind: TypeAlias = Literal["mavlink", "servo", "driver", "echo"]
 GimbalBeside: TypeAlias = Literal["none", "manager", "only-manager", "second", "stranger"]
 CameraKind: TypeAlias = Literal["mavlink", "servo", "px4-trigger"]
 CameraFiles: TypeAlias = Literal["folder", "http", "mftp"]
+CameraDefinition: TypeAlias = Literal["none", "http", "mftp"]
 SceneKind: TypeAlias = Literal["city", "lake", "snow", "night"]
 CameraLink: TypeAlias = Literal["mavlink", "gphoto2"]
 CameraBeside: TypeAlias = Literal["none", "streamer", "camera"]
@@ -138,6 +139,8 @@ class CameraConfig:
         files: where its reports say that its photos are: in a `folder` of this computer, on its server at loopback
             (`http`), or served by MAVLink FTP (`mftp`).
         files_kb_s: how fast it serves them by HTTP, in kB/s; 0: at once.
+        definition: where it says that its camera definition is: `none`, on its server at loopback (`http`), or served
+            by MAVLink FTP (`mftp`). With one, its settings can be made, and until then it meters each photo by itself.
     """
 
     optics: Camera = DEFAULT_CAMERA
@@ -164,6 +167,7 @@ class CameraConfig:
     trigger_min_told: bool = True
     files: CameraFiles = "folder"
     files_kb_s: float = 0.0
+    definition: CameraDefinition = "none"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,20 +10,18 @@ import signal
 import sys
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from panoexec.errors import LinkError, UsageError
 from panoexec.sim.config import DEFAULT_PORTS, SimConfig
 from panoexec.sim.faults import AUTOPILOT_FAULTS
-from panoexec.sim.mavlink.ftp_server import mftp_url
 from panoexec.sim.mavlink.outlet import Outlet
 from panoexec.sim.mavlink.wire import Message, TcpLink, UdpLink, attach
 from panoexec.sim.pacing import TimeLimits
 from panoexec.sim.photos.darkroom import Darkroom
-from panoexec.sim.photos.file_server import serving_photos
 from panoexec.sim.physics.following import AHEAD_S, SILENT_S, AutopilotTime
 from panoexec.sim.physics.world import SimClock, TruthLog
+from panoexec.sim.served_files import served_files
 from panoexec.sim.simulation import Simulation
 from panoexec.sim.tethered.ptpip import PtpIpServer
 
@@ -158,14 +156,15 @@ class Server:
                 )
             outlet = Outlet(link, config.system_id)
             try:
-                async with _darkroom(config) as darkroom, _served(config) as file_url:
+                async with _darkroom(config) as darkroom, served_files(config) as served:
                     simulation = Simulation(
                         config,
                         clock=SimClock(config.speedup),
                         link=outlet,
                         truth=truth,
                         develop=darkroom.develop if darkroom else None,
-                        file_url=file_url,
+                        file_url=served.file_url,
+                        definition_uri=served.definition_uri,
                     )
                     async with self._tethered(simulation, darkroom) as camera_port:
                         return await self._serve(simulation, outlet, darkroom, camera_port)
@@ -412,27 +411,12 @@ async def _darkroom(config: SimConfig) -> AsyncIterator[Darkroom | None]:
         seed=config.seed,
         scene_kind=config.scene_kind,
     )
-    # a tethered camera hands over its first photo at once
-    await darkroom.start(wait=config.camera_link == "gphoto2")
+    # the exposure is metered by the first photo, for which the mission waits a bounded time
+    await darkroom.start(wait=config.camera_link == "gphoto2" or camera.definition != "none")
     try:
         yield darkroom
     finally:
         await darkroom.close()
-
-
-@contextlib.asynccontextmanager
-async def _served(config: SimConfig) -> AsyncIterator[Callable[[Path], str]]:
-    """How the camera names its photos; the server of the camera runs meanwhile, if it has one."""
-    match config.camera.files:
-        case "folder":
-            yield Path.as_uri
-        case "mftp":
-            yield mftp_url
-        case "http" if config.output is not None:
-            with serving_photos(config.output, kb_s=config.camera.files_kb_s) as base:
-                yield lambda path: f"{base}/{path.name}"
-        case _:
-            yield lambda path: path.name
 
 
 async def _open_link(config: SimConfig) -> UdpLink | TcpLink:

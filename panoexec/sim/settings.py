@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, get_args
 
 from panoexec.errors import UsageError
-from panoexec.sim.config import CameraFiles, SimConfig
+from panoexec.sim.config import CameraDefinition, CameraFiles, SimConfig
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
@@ -41,7 +41,7 @@ _NOT_ZERO = {
 }
 
 
-_CHOICES = {"camera.files": get_args(CameraFiles)}
+_CHOICES = {"camera.files": get_args(CameraFiles), "camera.definition": get_args(CameraDefinition)}
 
 
 def names(config: SimConfig) -> dict[str, float | bool | str]:

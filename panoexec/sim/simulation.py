@@ -18,12 +18,13 @@ from panoexec.sim.mavlink.trigger import CameraTrigger
 from panoexec.sim.mavlink.vehicle import THIEF, Vehicle
 from panoexec.sim.mavlink.wire import Link, LocalLink, Receiver
 from panoexec.sim.photos.darkroom import ExposedPhoto
+from panoexec.sim.photos.exposure import Settings
 from panoexec.sim.photos.mixer import PhotoMixer
 from panoexec.sim.physics.airframe import Airframe
 from panoexec.sim.physics.camera import Exposure
 from panoexec.sim.physics.gimbal import GimbalPhysics, quaternion
 from panoexec.sim.physics.world import Repeater, SimClock, Timeline, TruthLog
-from panoexec.sim.tethered.shutter import Settings, TetheredShutter
+from panoexec.sim.tethered.shutter import TetheredShutter
 
 _CHUNK_S = 0.02
 """Longest wall time between two polls of the sockets."""
@@ -53,6 +54,7 @@ class Simulation:
         truth: TruthLog,
         develop: Callable[[ExposedPhoto], None] | None = None,
         file_url: Callable[[Path], str] = Path.as_uri,
+        definition_uri: str = "",
     ) -> None:
         self.config = config
         self.clock = clock
@@ -62,6 +64,7 @@ class Simulation:
         self.airframe = Airframe(config.airframe, seed=config.seed)
         self.vehicle: Vehicle | None = None
         self._file_url = file_url
+        self._definition_uri = definition_uri
         self._mixer = PhotoMixer(self.faults, develop or (lambda _: None))
         self._renders = develop is not None
         self._truth = truth
@@ -99,6 +102,7 @@ class Simulation:
             faults=self.faults,
             link=link,
             develop=self._develop,
+            definition_uri=self._definition_uri,
         )
 
     def _make_vehicle(self, ground: Link, bus: Link) -> Vehicle:

@@ -50,6 +50,17 @@ def _check(mission: Path, card: Path, *, source: str) -> list[dict[str, Any]]:
     return list(manifest["shots"])
 
 
+def _check_settings(shots: list[dict[str, Any]], card: Path) -> None:
+    """Metered once: no photo differs, and one more is in the camera."""
+    photos = [photo for shot in shots for attempt in shot["attempts"] for photo in attempt["photos"]]
+    settings = [photo["exif"] for photo in photos if photo["exif"]]
+    assert all(one == settings[0] for one in settings)
+    assert settings[0]["white_balance"] == "manual"
+    assert 0.001 <= settings[0]["exposure_s"] <= 0.004
+    assert not any(photo["differs"] for photo in photos)
+    assert len(list(card.glob("*.jpg"))) > len(shots)
+
+
 async def _check_thumbnails(ground: Ground, broker: Broker, mission: Path) -> None:
     """All are kept in the mission directory, and published when they are asked for."""
     kept = mission / "thumbnails"
@@ -72,9 +83,13 @@ async def _check_thumbnails(ground: Ground, broker: Broker, mission: Path) -> No
 async def test_a_mission_ends_complete_with_every_photo_hashed_in_its_directory(tmp_path: Path) -> None:
     port, card = free_udp_port(), tmp_path / "card"
     simulation = settings.changed(
-        SimConfig(port=port, speedup=_SPEEDUP, output=card), ["camera.files=http", "camera.render_width_px=160"]
+        SimConfig(port=port, speedup=_SPEEDUP, output=card),
+        ["camera.files=http", "camera.definition=http", "camera.render_width_px=160"],
     )
-    more = '[camera]\nfile_hosts = ["127.0.0.1"]\n'
+    more = (
+        '[camera]\nfile_hosts = ["127.0.0.1"]\n'
+        '[camera.lock]\nexposure = "first"\nwhite_balance = "Daylight"\nfocus = "manual"\n'
+    )
     with running_broker(tmp_path) as broker:
         async with (
             running_simulator(simulation),
@@ -99,6 +114,7 @@ async def test_a_mission_ends_complete_with_every_photo_hashed_in_its_directory(
             assert ground.misfits == []
             shots = _check(mission, card, source="http")
             assert len(shots) == ground.state["shots_total"]
+            _check_settings(shots, card)
 
 
 async def test_what_was_under_way_when_the_daemon_was_killed_is_brought_after_its_restart(tmp_path: Path) -> None:

@@ -12,8 +12,10 @@ import pytest
 
 pytest.importorskip("pymavlink")
 
+from panoexec.formats.photo_settings import read_settings
 from panoexec.sim.camera_kinds import CAMERA_KINDS
 from tests.support.truth import read_truth
+from tests.system.dry_runs import accepted, flown, manifest_of
 from tests.system.kind_missions import REFUSED_CAMERAS, SHOTS, Payload, fly
 
 EXPECTED = {
@@ -45,6 +47,8 @@ EXPECTED = {
     ("silent-third", "camera.silent_every=2"): (8, ()),
     ("index-reset",): (2, ()),
     ("index-reset", "camera.reset_after=1"): (2, ()),
+    ("definition",): (0, ()),
+    ("definition", "camera.latency_s=0.5"): (2, ("latency",)),
     ("undated",): (2, ()),
     ("undated", "camera.latency_s=1"): (2, ()),
 }
@@ -57,16 +61,16 @@ ALL = "PANOEXEC_ALL_FAULTS" in os.environ
 @pytest.mark.parametrize("case", EXPECTED if ALL else SHORT, ids=" ".join)
 async def test_a_mission_on_each_kind_accepts_nothing_untrue(tmp_path: Path, case: tuple[str, ...]) -> None:
     kind, *changes = case
-    flown = await fly(tmp_path, Payload(camera=kind, changes=tuple(changes)))
-    assert flown.untrue == []
-    assert (flown.summary.state, flown.summary.missing) == ("complete", ())
+    found = await fly(tmp_path, Payload(camera=kind, changes=tuple(changes)))
+    assert found.untrue == []
+    assert (found.summary.state, found.summary.missing) == ("complete", ())
     most, codes = EXPECTED[case]
-    assert sum(flown.summary.rejected.values()) <= most, flown.summary.rejected
+    assert sum(found.summary.rejected.values()) <= most, found.summary.rejected
     for code in codes:
-        assert len(flown.warned(code)) >= 1
+        assert len(found.warned(code)) >= 1
     if "deferred" in kind:  # each trigger took its photo, whose pose was held until then
-        exposures = read_truth(flown.summary.directory / "images" / "truth.jsonl")
-        assert len(exposures) == flown.summary.attempts == SHOTS
+        exposures = read_truth(found.summary.directory / "images" / "truth.jsonl")
+        assert len(exposures) == found.summary.attempts == SHOTS
 
 
 async def test_a_camera_that_stays_in_video_mode_fails_the_preflight(tmp_path: Path) -> None:
@@ -78,3 +82,18 @@ async def test_a_camera_that_stays_in_video_mode_fails_the_preflight(tmp_path: P
 
 def test_every_kind_is_flown() -> None:
     assert {case[0] for case in EXPECTED} | REFUSED_CAMERAS == set(CAMERA_KINDS)
+
+
+def test_a_dry_run_locks_the_settings_of_a_camera_with_a_definition(tmp_path: Path) -> None:
+    options = ("--camera", "dji-x5s-15mm", "--elevation", "-10", "10", "--azimuth", "-60", "60", "--image-width", "200")
+    summary = flown(*options, "--camera-kind", "definition", "--speedup", "10", "--output", str(tmp_path))
+    manifest = manifest_of(summary)
+    photos = [photo for attempt in accepted(manifest) for photo in attempt["photos"]]
+    images = Path(summary["directory"]) / "images"
+    exposures = {read_settings(images / photo["told"].rpartition("/")[2]) for photo in photos}
+    assert len(exposures) == 1
+    (settings,) = exposures
+    assert settings is not None
+    assert settings.white_balance == "manual"
+    assert len(list(images.glob("*.jpg"))) == summary["attempts"] + 1, "one photo to meter by"
+    assert manifest["warnings"] == []

@@ -40,6 +40,7 @@ class CameraPeer(ScriptedPeer):
         urls: where photos are said to be.
         camera_boot_s: the camera booted that much before the autopilot.
         tells_time: whether reports carry a boot time.
+        definition_uri: of its camera definition.
     """
 
     def __init__(self, component: int = 100) -> None:
@@ -50,6 +51,7 @@ class CameraPeer(ScriptedPeer):
         self.urls = "http://camera/{}.jpg"
         self.camera_boot_s = 500.0
         self.tells_time = True
+        self.definition_uri = ""
         self.free_mib = 3000.0
         self.storage_status = 2
         self.result = 1
@@ -122,7 +124,7 @@ class CameraPeer(ScriptedPeer):
             0,
             2,
             0,
-            b"",
+            self.definition_uri.encode(),
         )
 
     def _storage(self) -> Any:

@@ -25,14 +25,16 @@ from panoexec.adapters.camera.deferral import has_feedback_pin, least_interval_s
 from panoexec.adapters.camera.mavlink_camera_found import MavlinkCameraFound
 from panoexec.adapters.camera.photo_mode import PhotoMode
 from panoexec.adapters.camera.photo_recall import CAPTURE_STATUS, recall_images, recall_trigger
+from panoexec.adapters.camera.settings.mavlink_lock import MavlinkLock
 from panoexec.adapters.link.mavsdk_errors import MAV_RESULTS
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.mavsdk_requests import REQUEST_MESSAGE
 from panoexec.clock import latest_s
 from panoexec.devices import EvidenceLevel, PendingCapture, RecalledPhotos
 from panoexec.errors import DeviceError, PanoexecError
+from panoexec.formats.photo_settings import PhotoExif
 from panoexec.inputs.camera_profiles import load_profile
-from panoexec.inputs.config import CameraSection
+from panoexec.inputs.config import CameraSection, LockSection
 
 STORAGE_INFORMATION: Final = 261
 
@@ -61,6 +63,7 @@ class MavsdkCamera:
         feedback_pin: bool | None = None,
         mib_per_image: float | None = None,
         image_px: tuple[int, int] | None = None,
+        lock: LockSection | None = None,
     ) -> None:
         """Create it; entering the context subscribes to messages.
 
@@ -70,6 +73,7 @@ class MavsdkCamera:
             feedback_pin: whether CAMERA_FEEDBACK comes from a wired hot-shoe; None: read CAM1_FEEDBAK_PIN.
             mib_per_image: size of a photo; None: estimate it from the image's dimensions.
             image_px: image size of the profile, by which one of several cameras is chosen.
+            lock: settings that must not change within a panorama; None: none.
         """
         self._link = link
         self._component = component
@@ -79,6 +83,8 @@ class MavsdkCamera:
         self._mode_checked_s = -math.inf
         self._prepared = False
         self._reports = CameraReports(link, component=component, mib_per_image=mib_per_image)
+        self._reports.on_restart = self._restarted
+        self._lock = MavlinkLock(lock or LockSection(), link, component=lambda: self._reports.target)
         self._numbers = 0
         self._first_trigger_s = math.nan
         self._triggering = asyncio.Lock()
@@ -126,6 +132,7 @@ class MavsdkCamera:
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None:
         """Unsubscribe."""
+        await self._lock.close()
         for off in self._off:
             off()
 
@@ -172,6 +179,8 @@ class MavsdkCamera:
             for message in (STORAGE_INFORMATION, CAPTURE_STATUS):
                 with contextlib.suppress(DeviceError):  # then they are unknown
                     await self._link.requests.command(REQUEST_MESSAGE, [message], component=self._reports.target)
+        if not found.by_autopilot:
+            self._lock.begin()
         others = [one.summary for one in self._discovery.candidates if one.component != found.component]
         _log.info("camera found", camera=found, others=others)
         return found
@@ -288,16 +297,34 @@ class MavsdkCamera:
         return self._reports.pace.ready_s
 
     async def prepare(self) -> str:
-        """See `PreparesForPhotos.prepare`: photo mode."""
-        await self.discover()
+        """See `PreparesForPhotos.prepare`: photo mode, and the settings that must not change."""
+        found = await self.discover()
         self._prepared = True
-        return "" if self._mode is None else await self._mode.ensure()
+        problem = "" if self._mode is None else await self._mode.ensure()
+        if not problem and self._lock.wanted and found.by_autopilot:
+            return "a shutter of the autopilot has no settings: [camera.lock] cannot be made on it"
+        return problem or await self._lock.prepare()
 
     async def restore(self) -> None:
         """See `PreparesForPhotos.restore`."""
         self._prepared = False
+        await self._lock.restore()
         if self._mode is not None:
             await self._mode.restore()
+
+    def _restarted(self) -> None:
+        """A camera that restarts may forget its settings; what it took meanwhile is told by the EXIF of its photos."""
+        if self._prepared:
+            self._lock.again()
+
+    @property
+    def needs_metering(self) -> bool:
+        """See `MetersExposure.needs_metering`."""
+        return self._lock.needs_metering
+
+    async def meter(self, known: PhotoExif | None) -> str:
+        """See `MetersExposure.meter`."""
+        return await self._lock.meter(known, self.trigger)
 
     @property
     def image_count(self) -> int:
@@ -330,7 +357,7 @@ def _open(section: CameraSection, link: MavsdkLink, spool: Path | None) -> Abstr
     with contextlib.suppress(PanoexecError):  # a bad profile is reported where it is needed
         camera = load_profile(section.profile, focal_length_mm=section.focal_length_mm).camera
         image_px = (camera.image_width_px, camera.image_height_px)
-    return MavsdkCamera(link, component=section.component, image_px=image_px)
+    return MavsdkCamera(link, component=section.component, image_px=image_px, lock=section.lock)
 
 
 KIND: Final = CameraKind(

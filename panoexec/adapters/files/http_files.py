@@ -26,7 +26,12 @@ class HttpFiles:
     source = "http"
 
     def __init__(
-        self, hosts: Callable[[], Iterable[str]], *, max_bytes: int = MAX_BYTES, timeout_s: float = TIMEOUT_S
+        self,
+        hosts: Callable[[], Iterable[str]],
+        *,
+        max_bytes: int = MAX_BYTES,
+        timeout_s: float = TIMEOUT_S,
+        documents: bool = False,
     ) -> None:
         """Describe it; the process is started with the first download.
 
@@ -34,10 +39,12 @@ class HttpFiles:
             hosts: returns names or addresses of the only hosts that are asked.
             max_bytes: of one file.
             timeout_s: of one download.
+            documents: texts are wanted; where a photo is, they are refused.
         """
         self._hosts = hosts
         self._max_bytes = max_bytes
         self._timeout_s = timeout_s
+        self._documents = documents
         self._process: asyncio.subprocess.Process | None = None
         self._lock = asyncio.Lock()
 
@@ -59,6 +66,7 @@ class HttpFiles:
                 "hosts": sorted({host.lower() for host in self._hosts()}),
                 "max_bytes": self._max_bytes,
                 "timeout_s": self._timeout_s,
+                "documents": self._documents,
             }
             try:
                 process.stdin.write(json.dumps(job).encode() + b"\n")

@@ -1,7 +1,7 @@
 """Downloads files by HTTP in a process of its own at low priority, so that it never delays the event loop's work.
 
-Reads one JSON object per line (a job: `url`, `part`, `hosts`, `max_bytes`, `timeout_s`) and writes one per line (its
-result: `error`, "" for none, and `final`). Exits at the end of its standard input.
+Reads one JSON object per line (a job: `url`, `part`, `hosts`, `max_bytes`, `timeout_s`, `documents`) and writes one per
+line (its result: `error`, "" for none, and `final`). Exits at the end of its standard input.
 
 A download that was interrupted leaves its part and, beside it, what identifies the file's content (`ETag`, else
 `Last-Modified`); the next attempt continues there if the server still has that content.
@@ -42,7 +42,7 @@ async def download(session: aiohttp.ClientSession, job: Mapping[str, Any]) -> No
     check_url(url, job["hosts"])
     try:
         async with asyncio.timeout(float(job["timeout_s"])):
-            await _download(session, url, part, int(job["max_bytes"]))
+            await _download(session, url, part, int(job["max_bytes"]), documents=bool(job["documents"]))
     except TimeoutError as error:
         raise PhotoFileError(f"{url}: not complete after {job['timeout_s']:g} s") from error
     except aiohttp.ClientError as error:
@@ -68,14 +68,14 @@ def check_url(url: str, hosts: list[str]) -> None:
         raise PhotoFileError(f"{url}: host {host!r} is not in [camera] file_hosts", final=True)
 
 
-async def _download(session: aiohttp.ClientSession, url: str, part: Path, max_bytes: int) -> None:
+async def _download(session: aiohttp.ClientSession, url: str, part: Path, max_bytes: int, *, documents: bool) -> None:
     mark = part.with_name(f"{part.name}.tag")
     have, tag = _left(part, mark)
     headers = {"Accept-Encoding": "identity"}
     if have:
         headers |= {"Range": f"bytes={have}-", "If-Range": tag}
     async with session.get(url, headers=headers, allow_redirects=False) as answer:
-        _check_answer(url, answer)
+        _check_answer(url, answer, documents=documents)
         start = _start(answer, have)
         size = answer.content_length
         if size is not None and start + size > max_bytes:
@@ -95,7 +95,7 @@ async def _download(session: aiohttp.ClientSession, url: str, part: Path, max_by
     mark.unlink(missing_ok=True)
 
 
-def _check_answer(url: str, answer: aiohttp.ClientResponse) -> None:
+def _check_answer(url: str, answer: aiohttp.ClientResponse, *, documents: bool) -> None:
     status = answer.status
     if 300 <= status < 400:
         raise PhotoFileError(
@@ -104,7 +104,7 @@ def _check_answer(url: str, answer: aiohttp.ClientResponse) -> None:
     if status not in {200, 206}:
         # not there yet (404), busy (503): cameras write while they are asked
         raise PhotoFileError(f"{url}: HTTP {status} {answer.reason or ''}".rstrip(), final=status in _GONE)
-    if answer.content_type.startswith(_PAGES):
+    if answer.content_type.startswith(_PAGES) and not documents:
         raise PhotoFileError(f"{url}: is a web page ({answer.content_type}), not a photo", final=True)
 
 

@@ -57,6 +57,11 @@ class FileUrls:
         self._folders = tuple(folder.resolve() for folder in folders)
         self._hosts = frozenset(host.lower() for host in hosts)
 
+    @property
+    def hosts(self) -> frozenset[str]:
+        """Names and addresses of cameras that serve files, lower case."""
+        return self._hosts
+
     def screen(self, message: MavMessage) -> None:
         """Replace the URL of a report by what is kept of it; may be called in MAVSDK's thread.
 

@@ -8,14 +8,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import Faults
+from panoexec.sim.mavlink.camera_settings import CameraSettings
 from panoexec.sim.mavlink.component import NAN, Command, Component, bitmask, command_of, padded
 from panoexec.sim.mavlink.dialect import mavlink
-from panoexec.sim.mavlink.ftp_server import FtpServer
+from panoexec.sim.mavlink.ftp_server import ftp_server_of
 from panoexec.sim.mavlink.gimbal_component import GimbalComponent
+from panoexec.sim.mavlink.photo_command import PhotoCommand
 from panoexec.sim.mavlink.wire import Link, Message, Sender
+from panoexec.sim.photos.exposure import Settings
 from panoexec.sim.physics.camera import CameraModel, Exposure, GimbalState, Refusal
 from panoexec.sim.physics.following import TIME_RESOLUTION_S
 from panoexec.sim.physics.gimbal import Angles, GimbalPhysics, quaternion
@@ -26,9 +30,6 @@ BESIDE_ID = mavlink.MAV_COMP_ID_CAMERA2
 """Its component where another one is component 100."""
 VENDOR = "panoexec"
 _URL_BYTES = 205
-_RETRANSMISSION_S = 0.8
-"""Wall time within which a repeated command counts as a retransmission; MAVSDK retransmits after 0.5 s."""
-_RETRANSMISSIONS = 3
 _POSITION_INTERVAL_US = 200_000
 _POSITION_LOST_S = 3.0
 _DRIFT_HOLD_S = 0.7
@@ -59,25 +60,12 @@ class Fix:
     heading_deg: float = NAN
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PhotoCommand:
-    """The last photo command and its acknowledgement (None = none sent)."""
+class Develop(Protocol):
+    """Makes a photo of an exposure."""
 
-    command: Command
-    sent_s: float
-    result: int | None
-    repeats: int = 0
-
-    def is_repeated_by(self, other: Command, wall_s: float) -> bool:
-        """Whether another command is a retransmission of this one.
-
-        A retransmission increments `confirmation`. MAVSDK's does not; it is recognised by its sequence number (param4)
-        and by arriving soon after a command that was not acknowledged.
-        """
-        same = other.sender == self.command.sender and other.params == self.command.params
-        if not same or wall_s > _RETRANSMISSION_S or self.repeats >= _RETRANSMISSIONS:
-            return False
-        return other.confirmation > 0 or self.result is None
+    def __call__(self, exposure: Exposure, fix: Fix, settings: Settings | None = None, /) -> str:
+        """Returns the URL of its file."""
+        ...
 
 
 class CameraComponent:
@@ -97,8 +85,10 @@ class CameraComponent:
         gimbal: GimbalComponent,
         faults: Faults,
         link: Link,
-        develop: Callable[[Exposure, Fix], str],
+        develop: Develop,
+        definition_uri: str = "",
     ) -> None:
+        self._definition_uri = definition_uri
         self._config = config.camera
         self._boot_s = config.payload_boot_s
         self._clock = clock
@@ -133,9 +123,8 @@ class CameraComponent:
         self._component = Component(
             timeline=timeline, sender=Sender(config.system_id, component), link=link, heartbeat=self._heartbeat
         )
-        self._ftp: FtpServer | None = None
-        if config.camera.files == "mftp" and config.output is not None:
-            self._ftp = FtpServer(config.output, self._component, system_id=config.system_id, component_id=component)
+        self._ftp = ftp_server_of(config, self._component)
+        self._camera_settings = None if config.camera.definition == "none" else CameraSettings(self._component)
         self._component.builders.update(
             {
                 mavlink.MAVLINK_MSG_ID_CAMERA_INFORMATION: self._information,
@@ -176,6 +165,8 @@ class CameraComponent:
                 self._ask_for_position()
         elif kind == "FILE_TRANSFER_PROTOCOL" and self._ftp is not None:
             self._ftp.receive(message)
+        elif kind.startswith("PARAM_EXT_") and self._camera_settings is not None:
+            self._camera_settings.receive(message)
         elif self._component.is_addressed(message) and (command := command_of(message)) is not None:
             result = self._command(command)
             if result is not None:
@@ -274,7 +265,9 @@ class CameraComponent:
         self._timeline.after(interval_s, again)
 
     def _exposed(self, exposure: Exposure) -> None:
-        url = self._develop(exposure, self.fix)
+        settings = self._camera_settings
+        taken_with = None if settings is None else settings.at(exposure.estimate.pitch_deg)
+        url = self._develop(exposure, self.fix, taken_with)
         if len(url.encode()) > _URL_BYTES:
             url = url.rsplit("/", 1)[-1]
         fix = self.fix
@@ -307,6 +300,8 @@ class CameraComponent:
         """Boot anew: index and clock begin again, earlier photos are forgotten."""
         self.model.restart()
         self._captured.clear()
+        if self._camera_settings is not None:
+            self._camera_settings.forget()
         self._booted_s = self._timeline.now_s
 
     def _boot_ms(self) -> int:
@@ -342,8 +337,8 @@ class CameraComponent:
             optics.image_height_px,
             0,
             bitmask(flags),
-            0,
-            b"",
+            int(bool(self._definition_uri)),
+            self._definition_uri.encode(),
             gimbal_device_id=mavlink.MAV_COMP_ID_GIMBAL,
         )
 

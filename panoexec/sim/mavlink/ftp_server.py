@@ -1,4 +1,4 @@
-"""The simulated camera's photos by MAVLink FTP: list, open, read, read in a burst.
+"""The simulated camera's files by MAVLink FTP: list, open, read, read in a burst.
 
 Source: MAVLink's File Transfer Protocol (message 110). The payload is sequence number (2 bytes), session, operation
 code, size, requested operation, burst complete, padding, offset (4), data (at most 239).
@@ -7,9 +7,12 @@ code, size, requested operation, burst complete, padding, offset (4), data (at m
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Final, TypeAlias
 
+from panoexec.sim.config import SimConfig
+from panoexec.sim.mavlink.camera_settings import FILE_NAME, definition
 from panoexec.sim.mavlink.component import Component
 from panoexec.sim.mavlink.dialect import mavlink
 from panoexec.sim.mavlink.wire import Message
@@ -33,19 +36,44 @@ def mftp_url(path: Path) -> str:
     return f"mftp://[;comp={mavlink.MAV_COMP_ID_CAMERA}]{FOLDER}/{path.name}"
 
 
-class FtpServer:
-    """Serves the JPEGs of one folder, one session at a time."""
+def definition_uri() -> str:
+    """The URI of the camera definition."""
+    return f"mftp://[;comp={mavlink.MAV_COMP_ID_CAMERA}]{FOLDER}/{FILE_NAME}"
 
-    def __init__(self, folder: Path, component: Component, *, system_id: int, component_id: int) -> None:
+
+def ftp_server_of(config: SimConfig, component: Component) -> FtpServer | None:
+    """What the configured camera serves by MAVLink FTP; None if it serves nothing."""
+    folder = config.output if config.camera.files == "mftp" else None
+    besides = {FILE_NAME: definition()} if config.camera.definition == "mftp" else {}
+    if folder is None and not besides:
+        return None
+    ids = component.sender.system_id, component.sender.component_id
+    return FtpServer(folder, component, system_id=ids[0], component_id=ids[1], besides=besides)
+
+
+class FtpServer:
+    """Serves the JPEGs of one folder and files besides, one session at a time."""
+
+    def __init__(
+        self,
+        folder: Path | None,
+        component: Component,
+        *,
+        system_id: int,
+        component_id: int,
+        besides: Mapping[str, bytes] | None = None,
+    ) -> None:
         """Describe it.
 
         Args:
-            folder: where the photos are written.
+            folder: where the photos are written; None: nowhere.
             component: sends the answers.
             system_id: own MAVLink system.
             component_id: own MAVLink component.
+            besides: content of further files in the same folder, by name.
         """
         self._folder = folder
+        self._besides = dict(besides or {})
         self._component = component
         self._ids = (system_id, component_id)
         self._open: bytes | None = None
@@ -92,7 +120,10 @@ class FtpServer:
     def _listed(self, data: bytes, skip: int) -> _Answer:
         if PurePosixPath(_text(data)) != PurePosixPath(FOLDER):
             return _refused(_NOT_FOUND)
-        entries = [f"F{path.name}\t{path.stat().st_size}\0".encode() for path in sorted(self._folder.glob("*.jpg"))]
+        photos = [] if self._folder is None else sorted(self._folder.glob("*.jpg"))
+        sizes = [(path.name, path.stat().st_size) for path in photos]
+        sizes += [(name, len(content)) for name, content in self._besides.items()]
+        entries = [f"F{name}\t{size}\0".encode() for name, size in sizes]
         found = b""
         for entry in entries[skip:]:
             if len(found) + len(entry) > _DATA_BYTES:
@@ -102,12 +133,14 @@ class FtpServer:
 
     def _opened(self, data: bytes) -> _Answer:
         path = PurePosixPath(_text(data))
-        if str(path.parent) != FOLDER:
+        content = self._besides.get(path.name)
+        if str(path.parent) != FOLDER or (self._folder is None and content is None):
             return _refused(_NOT_FOUND)
         try:
-            self._open = (self._folder / path.name).read_bytes()
+            self._open = (self._folder / path.name).read_bytes() if self._folder and content is None else content
         except OSError:
             return _refused(_NOT_FOUND)
+        assert self._open is not None
         return (_ACK, 0, struct.pack("<I", len(self._open)), False)
 
     def _read(self, offset: int, size: int) -> _Answer:

@@ -5,17 +5,14 @@ It works with the embedded autopilot and with a real ArduPilot with `MNT1_TYPE` 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import Faults
 from panoexec.sim.mavlink.camera_beside import CameraBeside
-from panoexec.sim.mavlink.camera_component import CameraComponent, Fix
+from panoexec.sim.mavlink.camera_component import CameraComponent, Develop
 from panoexec.sim.mavlink.gimbal_beside import SecondGimbal, Stranger
 from panoexec.sim.mavlink.gimbal_component import GimbalComponent
 from panoexec.sim.mavlink.released_camera import ReleasedCamera
 from panoexec.sim.mavlink.wire import Link, Message
-from panoexec.sim.physics.camera import Exposure
 from panoexec.sim.physics.gimbal import GimbalPhysics
 from panoexec.sim.physics.world import SimClock, Timeline
 
@@ -41,7 +38,8 @@ class Payload:
         physics: GimbalPhysics,
         faults: Faults,
         link: Link,
-        develop: Callable[[Exposure, Fix], str],
+        develop: Develop,
+        definition_uri: str = "",
     ) -> None:
         self.gimbal = GimbalComponent(config, timeline=timeline, physics=physics, faults=faults, link=link)
         self.second: SecondGimbal | None = None
@@ -54,7 +52,14 @@ class Payload:
         if config.camera_kind == "servo" and config.attach_url is not None:
             self.released = ReleasedCamera(config, timeline=timeline, physics=physics, faults=faults, develop=develop)
         self.camera = CameraComponent(
-            config, clock=clock, timeline=timeline, gimbal=self.gimbal, faults=faults, link=link, develop=develop
+            config,
+            clock=clock,
+            timeline=timeline,
+            gimbal=self.gimbal,
+            faults=faults,
+            link=link,
+            develop=develop,
+            definition_uri=definition_uri,
         )
 
         self.beside: CameraBeside | None = None

@@ -13,9 +13,10 @@ from dataclasses import replace
 
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import Faults
-from panoexec.sim.mavlink.camera_component import Fix, PhotoCommand, apply_drift_fault, gimbal_state
+from panoexec.sim.mavlink.camera_component import Fix, apply_drift_fault, gimbal_state
 from panoexec.sim.mavlink.component import NAN, Builder, Command
 from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.mavlink.photo_command import PhotoCommand
 from panoexec.sim.mavlink.wire import Message
 from panoexec.sim.physics.airframe import Airframe
 from panoexec.sim.physics.camera import CameraModel, Exposure

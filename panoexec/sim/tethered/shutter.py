@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 from urllib.parse import unquote, urlsplit
@@ -12,6 +11,7 @@ from urllib.parse import unquote, urlsplit
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import Faults
 from panoexec.sim.mavlink.camera_component import apply_drift_fault, gimbal_state
+from panoexec.sim.photos.exposure import Settings, metered
 from panoexec.sim.physics.camera import CameraModel, Exposure, Refusal
 from panoexec.sim.physics.gimbal import GimbalPhysics
 from panoexec.sim.physics.world import SimClock, Timeline
@@ -25,25 +25,6 @@ _ANSWERS: Final = {
     Refusal.STORAGE_FULL: Answer.STORE_FULL,
     Refusal.FAULT: Answer.ACCESS_DENIED,
 }
-_BRIGHT_EV: Final = 2.0
-"""How much brighter the sky is than the ground, to a camera that meters each photo by itself."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Settings:
-    """What a photo was taken with, for its EXIF.
-
-    Attributes:
-        exposure_s: shutter time.
-        f_number: aperture.
-        iso: sensitivity.
-        manual_white_balance: not chosen by the camera.
-    """
-
-    exposure_s: float
-    f_number: float = 5.6
-    iso: int = 100
-    manual_white_balance: bool = False
 
 
 class TetheredShutter:
@@ -117,9 +98,7 @@ class TetheredShutter:
         )
         if value[codes.PROGRAM] == codes.MANUAL:
             return settings
-        pitch_deg = exposure.estimate.pitch_deg
-        brightness_ev = _BRIGHT_EV * min(1.0, max(0.0, pitch_deg / 30 + 0.5))
-        return replace(settings, exposure_s=round(0.004 * 2**-brightness_ev, 6))
+        return metered(settings, exposure.estimate.pitch_deg)
 
     @property
     def hold_s(self) -> float:

@@ -23,10 +23,10 @@ import structlog
 
 from panoexec.adapters.camera.camera_kind import CameraKind, OpenCamera
 from panoexec.adapters.camera.capture import Capture, Report, Source
+from panoexec.adapters.camera.settings.locked_settings import LockedSettings
 from panoexec.adapters.camera.tethered.child import CallFailedError, CameraProcess
 from panoexec.adapters.camera.tethered.files import PhotoFiles
 from panoexec.adapters.camera.tethered.holder import CameraHolder
-from panoexec.adapters.camera.tethered.locked_settings import LockedSettings
 from panoexec.adapters.camera.tethered.patience import Patience
 from panoexec.adapters.camera.tethered.photos import SCHEME, Photo, PhotoBook
 from panoexec.adapters.link.mavsdk_link import MavsdkLink

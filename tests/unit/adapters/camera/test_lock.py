@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from panoexec.adapters.camera.tethered.lock import Change, LockError, changes, drifted, make, seconds_of
+from panoexec.adapters.camera.settings.lock import Change, LockError, changes, drifted, make, seconds_of
 from panoexec.formats.photo_settings import PhotoExif
 from panoexec.inputs.config import LockSection
 

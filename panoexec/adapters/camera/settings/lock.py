@@ -1,8 +1,9 @@
-"""Settings of a tethered camera that must not change within a panorama: found, set, read back, and put back.
+"""Settings of a camera that must not change within a panorama: found, set, read back, and put back.
 
-libgphoto2 names settings by the widgets of its drivers, which differ between makers. Here are the names of Canon,
-Nikon, Sony, Fujifilm, Panasonic and plain PTP cameras; what a camera lacks or does not let be set is a problem, never
-ignored.
+libgphoto2 names settings by the widgets of its drivers, which differ between makers: here are the names of Canon,
+Nikon, Sony, Fujifilm, Panasonic and plain PTP cameras. MAVLink cameras name them in their definition: CAM_… are the
+common parameters of MAVLink's Camera Definition File, and CAM_SHUTTER and CAM_FOCUSMODE those of definitions for Sony's
+cameras. What a camera lacks or does not let be set is a problem, never ignored.
 """
 
 from __future__ import annotations
@@ -16,15 +17,15 @@ from panoexec.errors import DeviceError
 from panoexec.formats.photo_settings import PhotoExif
 from panoexec.inputs.config import LockSection
 
-PROGRAM: Final = ("expprogram", "autoexposuremodedial", "autoexposuremode", "exposureprogram")
-SHUTTER: Final = ("shutterspeed", "shutterspeed2")
-APERTURE: Final = ("f-number", "aperture")
-ISO: Final = ("iso",)
-WHITE_BALANCE: Final = ("whitebalance",)
-FOCUS: Final = ("focusmode", "autofocus")
+PROGRAM: Final = ("expprogram", "autoexposuremodedial", "autoexposuremode", "exposureprogram", "CAM_EXPMODE")
+SHUTTER: Final = ("shutterspeed", "shutterspeed2", "CAM_SHUTTERSPD", "CAM_SHUTTER")
+APERTURE: Final = ("f-number", "aperture", "CAM_APERTURE")
+ISO: Final = ("iso", "CAM_ISO")
+WHITE_BALANCE: Final = ("whitebalance", "CAM_WBMODE")
+FOCUS: Final = ("focusmode", "autofocus", "CAM_FOCUSMODE")
 FOCAL_LENGTH: Final = ("focallength",)
-NAMES: Final = (*PROGRAM, *SHUTTER, *APERTURE, *ISO, *WHITE_BALANCE, *FOCUS, *FOCAL_LENGTH)
-_MANUAL: Final = ("M", "Manual", "MF", "Manual Focus", "Off")
+_MANUAL: Final = ("manual", "m", "mf", "manual focus", "manual mode", "manual exposure", "m manual", "fix focus", "off")
+"""Lower case."""
 _CLOSE: Final = 0.15
 """Relative distance of a value from the nearest one that the camera offers: half of a third of a stop, and rounding."""
 
@@ -52,6 +53,13 @@ class Change:
 
 class LockError(DeviceError):
     """A setting that cannot be locked; says which, what was wanted and what the camera offers."""
+
+
+def needed(lock: LockSection) -> tuple[str, ...]:
+    """The settings that have to be read for a lock, by every name that they may have; and the focal length."""
+    exposure = (*PROGRAM, *SHUTTER, *APERTURE, *ISO) if lock.exposure != "off" else ()
+    balance = WHITE_BALANCE if lock.white_balance != "off" else ()
+    return (*exposure, *balance, *(FOCUS if lock.focus != "off" else ()), *FOCAL_LENGTH)
 
 
 def changes(lock: LockSection, widgets: Widgets, *, metered: PhotoExif | None = None) -> list[Change]:
@@ -136,7 +144,7 @@ def _widget(what: str, names: Sequence[str], widgets: Widgets) -> tuple[str, Map
                 now = widgets[name]["value"]
                 raise LockError(f"{what} is {now} and cannot be set from here: set it on the camera ([camera.lock])")
             return name, widgets[name]
-    raise LockError(f"this camera does not let {what} be set by its cable: set it on the camera ([camera.lock])")
+    raise LockError(f"this camera does not let {what} be set from here: set it on the camera ([camera.lock])")
 
 
 def _can_be_set(names: Sequence[str], widgets: Widgets) -> bool:
@@ -146,7 +154,7 @@ def _can_be_set(names: Sequence[str], widgets: Widgets) -> bool:
 def _manual(what: str, names: Sequence[str], widgets: Widgets) -> Change:
     """The change to manual; a dial on the camera that stands there already needs none."""
     for name in names:
-        if name in widgets and str(widgets[name]["value"]) in _MANUAL:
+        if name in widgets and str(widgets[name]["value"]).lower() in _MANUAL:
             return Change(what, name, str(widgets[name]["value"]), str(widgets[name]["value"]))
     return _named(what, names, widgets, _MANUAL)
 

@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import structlog
 
-from panoexec.adapters.camera.tethered import lock as locking
-from panoexec.adapters.camera.tethered.lock import Change
+from panoexec.adapters.camera.settings import lock as locking
+from panoexec.adapters.camera.settings.lock import Change
 from panoexec.errors import DeviceError
 from panoexec.formats.photo_settings import PhotoExif
 from panoexec.inputs.config import LockSection
@@ -19,7 +19,8 @@ _SET_S: Final = 5.0
 _OFF: Final = LockSection()
 
 Call = Callable[..., Awaitable[Any]]
-"""Asks the camera's process: what, seconds, fields."""
+"""Asks the camera: what, seconds, fields. `read` with `names` returns the settings of these names that the camera has;
+`set` with `name` and `value` returns that setting as it is then."""
 
 _log = structlog.get_logger(__name__)
 
@@ -32,7 +33,7 @@ class LockedSettings:
     """
 
     def __init__(self, lock: LockSection, *, call: Call) -> None:
-        """Create it; `call` asks the camera's process."""
+        """Create it; `call` asks the camera."""
         self.focal_length_mm = math.nan
         self._lock = lock
         self._call = call
@@ -115,7 +116,7 @@ class LockedSettings:
         return dict(await self._call("set", _SET_S, name=name, value=value))
 
     async def _read(self, call: Call) -> locking.Widgets:
-        return dict(await call("read", _READ_S, names=list(locking.NAMES)))
+        return dict(await call("read", _READ_S, names=list(locking.needed(self._lock))))
 
 
 def _focal_length_mm(widgets: locking.Widgets) -> float:
