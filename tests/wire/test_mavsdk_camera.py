@@ -355,3 +355,16 @@ async def test_the_camera_asked_for_is_taken_or_missed(eye: CameraPeer) -> None:
         await link.wait_autopilot(10)
         with pytest.raises(DeviceError, match="component 102 is configured, but MAVSDK found: 100"):
             await camera.discover(timeout_s=2.0)
+
+
+async def test_a_focal_length_from_the_autopilots_table_is_no_evidence(servo: CameraPeer) -> None:
+    """ArduPilot tells 21 mm, the 35 mm equivalent, for a Siyi A8 mini, whose lens has 4.3 mm."""
+    servo.parameters |= {"CAM1_FEEDBAK_PIN": -1, "CAM1_INTRVAL_MIN": 0}
+    servo.builders[259] = lambda: mavlink.MAVLink_camera_information_message(
+        0, text("Siyi", 32), text("A8", 32), 0, 21.0, 0, 0, 0, 0, 0, 2, 0, b""
+    )
+    async with MavsdkLink(servo.url, clock=CLOCK) as link, MavsdkCamera(link, component=1) as camera:
+        await link.wait_autopilot(10)
+        found = await camera.discover()
+        assert (found.vendor, found.focal_length_mm) == ("Siyi", 21.0)
+        assert math.isnan(camera.focal_length_mm)

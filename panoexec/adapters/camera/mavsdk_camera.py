@@ -44,6 +44,9 @@ _FIRST_REPORT_S: Final = 20.0
 """A camera that has not reported a photo by then does not report photos."""
 _SILENT_S: Final = 15.0
 _MODE_AGAIN_S: Final = 5.0
+_TOLD_BY_TABLE: Final = ("siyi",)
+"""Vendors for whose cameras the autopilot tells a focal length from a table: ArduPilot (AP_Mount_Siyi) tells the 35 mm
+equivalent of some models, and of the others the wide end, whatever the zoom."""
 
 _log = structlog.get_logger(__name__)
 
@@ -284,7 +287,10 @@ class MavsdkCamera:
     @property
     def focal_length_mm(self) -> float:
         """See `TellsLens.focal_length_mm`: CAMERA_INFORMATION."""
-        return math.nan if self._reports.found is None else self._reports.found.focal_length_mm
+        found = self._reports.found
+        if found is None or (found.by_autopilot and found.vendor.lower() in _TOLD_BY_TABLE):
+            return math.nan
+        return found.focal_length_mm
 
     @property
     def interval_s(self) -> float:

@@ -26,7 +26,7 @@ GOOD: dict[str, Any] = {
 class TestShipped:
     def test_the_config_folder_shows_them(self) -> None:
         names = [profile.camera.name for profile in list_profiles()]
-        assert len(names) == 20
+        assert len(names) == 21
         assert names == sorted(names)
         assert names == sorted(path.stem for path in PROFILES.glob("*.toml"))
 
