@@ -28,6 +28,7 @@ from panoexec.mission.bridging import Bridging
 from panoexec.mission.context import MissionContext
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.shot_record import AttemptRecord, ShotRecord, Verdict
+from panoexec.mission.parallax import moved_m, place_of
 from panoexec.mission.protocols import PictureChecker
 from panoexec.optics import Camera
 from panoexec.pictures.model import BAD, Content, Judgement, Verdicts
@@ -171,7 +172,7 @@ class ContentCheck:
                 code = Content.CONTRADICTS if "is the photo of shot" in why else Content.UNREADABLE
                 verdicts = await checker.condemn(shot, code, why, q_wxyz, time_s)
             elif (path := self._file(attempt)) is not None:
-                verdicts = await checker.add(shot, path, q_wxyz, time_s)
+                verdicts = await checker.add(shot, path, q_wxyz, time_s, self._heights_from_start(record, attempt))
             else:
                 continue
             self._attempt_of[shot] = attempt.number
@@ -179,6 +180,14 @@ class ContentCheck:
             await self._apply(verdicts, checker, final=False)
             return True
         return False
+
+    def _heights_from_start(self, record: ShotRecord, attempt: AttemptRecord) -> list[float] | None:
+        """Where a photo was taken from the mission's origin, plan frame, heights above the ground; None if unknown."""
+        place, mission = place_of(record, attempt.exposed), self._context.record
+        if place is None or not all(map(math.isfinite, mission.first_origin)):
+            return None
+        moved = moved_m(mission.first_origin, place.position, mission.reference_yaw_north_deg)
+        return [float(part) / place.height_m for part in moved]
 
     async def _tell_plan(self, checker: PictureChecker) -> None:
         record = self._context.record
@@ -326,5 +335,8 @@ def _checked(shot: int, number: int, judged: Judgement) -> ev.PhotoChecked:
         sharpness=judged.sharpness,
         odd_deg=judged.odd_deg,
         error_deg=judged.error_deg,
-        ties=tuple(ev.PhotoTie(shot=t.shot, points=t.points, angle_deg=t.angle_deg) for t in judged.ties),
+        ties=tuple(
+            ev.PhotoTie(shot=t.shot, points=t.points, angle_deg=t.angle_deg, parallax_deg=t.parallax_deg)
+            for t in judged.ties
+        ),
     )

@@ -73,8 +73,7 @@ class SeamErrors:
 
     def __init__(self, camera: Camera, reference_yaw_north_deg: float) -> None:
         self._camera = camera
-        angle = math.radians(0.0 if math.isnan(reference_yaw_north_deg) else reference_yaw_north_deg)
-        self._to_plan = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+        self._reference_yaw_north_deg = reference_yaw_north_deg
         side = np.linspace(-1, 1, _SAMPLES)
         y, z = np.meshgrid(side * camera.half_width, side * camera.half_height)
         self._rays = np.stack([np.ones(y.size), y.ravel(), z.ravel()], axis=1)
@@ -98,17 +97,28 @@ class SeamErrors:
         if not shared.any():
             return 0.0
         ground = rays[shared]
-        moved = self._moved(one, other) / (0.5 * (one.height_m + other.height_m))
+        moved = moved_m(one.position, other.position, self._reference_yaw_north_deg)
+        moved /= 0.5 * (one.height_m + other.height_m)
         across = moved - (ground @ moved)[:, None] * ground
         return float((np.linalg.norm(across, axis=1) * ground[:, 2]).max() * camera.focal_length_px)
 
-    def _moved(self, one: Place, other: Place) -> FloatArray:
-        """Displacement, metres, plan frame (x, y, down)."""
-        north = math.radians(other.position[0] - one.position[0]) * EARTH_RADIUS_M
-        east = math.radians(other.position[1] - one.position[1]) * EARTH_RADIUS_M
-        east *= math.cos(math.radians(one.position[0]))
-        level = self._to_plan @ np.array([north, east])
-        return np.array([level[0], level[1], one.position[2] - other.position[2]])
+
+def moved_m(
+    start: tuple[float, float, float], end: tuple[float, float, float], reference_yaw_north_deg: float
+) -> FloatArray:
+    """Displacement between positions, metres, in the plan's frame: towards its yaw 0, right of it, down.
+
+    Args:
+        start: latitude and longitude, degrees, and altitude, metres.
+        end: likewise.
+        reference_yaw_north_deg: direction of the plan's yaw 0; NaN counts as north.
+    """
+    north = math.radians(end[0] - start[0]) * EARTH_RADIUS_M
+    east = math.radians(end[1] - start[1]) * EARTH_RADIUS_M * math.cos(math.radians(start[0]))
+    angle = math.radians(0.0 if math.isnan(reference_yaw_north_deg) else reference_yaw_north_deg)
+    ahead = math.cos(angle) * north + math.sin(angle) * east
+    right = -math.sin(angle) * north + math.cos(angle) * east
+    return np.array([ahead, right, start[2] - end[2]])
 
 
 class SeamTable:

@@ -50,7 +50,9 @@ class PictureChecker(Protocol):
         """Tell planned attitudes, quaternions by shot."""
         ...
 
-    async def add(self, shot: int, path: Path, q_wxyz: Sequence[float], time_s: float) -> Verdicts:
+    async def add(
+        self, shot: int, path: Path, q_wxyz: Sequence[float], time_s: float, place: Sequence[float] | None = None
+    ) -> Verdicts:
         """Examine a photo; the verdicts on all photos so far."""
         ...
 

@@ -227,7 +227,7 @@ class Examiner:
             grey = np.asarray(PIL.Image.open(io.BytesIO(own.packed)))
             own.features, own.packed = replace(own.features, grey=grey), b""
         focal = own.features.size[0] / (2 * self._camera.half_width)
-        return View(features=own.features, rotation=own.photo.rotation, focal_px=focal)
+        return View(features=own.features, rotation=own.photo.rotation, focal_px=focal, place=own.photo.place)
 
     def _make_room(self) -> None:
         """Keep the pixels of the photos that were used last; the others' as JPEGs."""

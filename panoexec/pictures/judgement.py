@@ -273,8 +273,9 @@ class _Judge:
         for (a, b), tie in sorted(self._pairs.items()):
             if not tie.tied:
                 continue
-            lines[a].append(TieLine(shot=b, points=tie.points, angle_deg=round(tie.angle_deg, 4)))
-            lines[b].append(TieLine(shot=a, points=tie.points, angle_deg=round(tie.angle_deg, 4)))
+            angle, parallax = round(tie.angle_deg, 4), round(tie.parallax_deg, 3)
+            lines[a].append(TieLine(shot=b, points=tie.points, angle_deg=angle, parallax_deg=parallax))
+            lines[b].append(TieLine(shot=a, points=tie.points, angle_deg=angle, parallax_deg=parallax))
             if self._good(a) and self._good(b) and (a, b) not in dropped:
                 agreeing.append((a, b, tie.points))
         tied = {shot for a, b, _ in agreeing for shot in (a, b)}
@@ -285,7 +286,9 @@ class _Judge:
                 settled = self._complete(shot)
                 verdict = Content.OK if shot in tied else Content.GEOMETRY_ONLY
                 reason = (
-                    "" if shot in tied else "nothing in its overlaps can be tied; its measured attitude alone counts"
+                    _parallax(lines[shot])
+                    if shot in tied
+                    else "nothing in its overlaps can be tied; its measured attitude alone counts"
                 )
             turn = error.get(shot, np.zeros(3))
             photos[shot] = Judgement(
@@ -300,6 +303,16 @@ class _Judge:
                 ties=tuple(lines[shot]),
             )
         return Verdicts(photos=photos, graph=_graph(photos, agreeing))
+
+
+def _parallax(lines: Sequence[TieLine]) -> str:
+    """Words for a good photo that was taken from elsewhere than most of its neighbours; "" for others."""
+    apart = [line for line in lines if line.parallax_deg > 0]
+    if 2 * len(apart) <= len(lines):
+        return ""
+    names = ", ".join(str(line.shot) for line in apart)
+    worst = max(line.parallax_deg for line in apart)
+    return f"parallax: taken from elsewhere than shot {names}, the ground is displaced by up to {worst:.1f}°"
 
 
 def _graph(photos: Mapping[int, Judgement], edges: Sequence[tuple[int, int, int]]) -> TieGraph:

@@ -12,12 +12,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from panoexec.angles import FloatArray
+from panoexec.pictures.correlation import correlate_near, correlate_wide, samples
 from panoexec.pictures.detail import Comparison, cell_centres, compare
 from panoexec.pictures.features import CELL_PX, DETAIL_PX, DISTINCT_CORNER, Features, Floats
+from panoexec.pictures.parallax import downward, ground_consensus, ground_matrix
 from panoexec.pictures.rotations import consensus, displacement_matrix, rotation_of_vector
 
 SEARCH_DEG: Final = 2.2
@@ -33,6 +34,14 @@ _COARSE_NCC: Final = 0.5
 _FINE_NCC: Final = 0.6
 MIN_POINTS: Final = 6
 """Fewer agreeing points are no tie."""
+_FAR: Final = 0.01
+"""Displacement of the recorded positions, heights, from which they are tried where nothing else ties."""
+_WELL_PX: Final = 0.25
+"""Residual, and share of the corners, with which a turn alone explains a match so well that no other place is tried."""
+_WELL_FRAC: Final = 0.5
+_SURE_SIGMAS: Final = 3.0
+_GROUND_POINTS: Final = 12
+"""Fewer points are no evidence of six unknowns."""
 MIN_TEXTURED: Final = 8
 """So many corners in an overlap show that it has texture."""
 
@@ -45,11 +54,13 @@ class View:
         features: what was measured of it.
         rotation: (3, 3) camera to world.
         focal_px: focal length at the scale of the examination.
+        place: (3,) where it was taken, world frame, heights above the ground; None if that is unknown.
     """
 
     features: Features
     rotation: FloatArray
     focal_px: float
+    place: FloatArray | None = None
 
     @property
     def centre(self) -> FloatArray:
@@ -73,6 +84,8 @@ class Tie:
         rms_px: residual of the points.
         pixels: (points, 4) x, y in the first and in the second photo, at the scale of the examination.
         comparison: brightness and sharpness in the overlap.
+        parallax_deg: by how much the content of the ground is displaced at most because the photos were taken from
+            different places; 0 where a rotation explains it all.
     """
 
     points: int
@@ -84,6 +97,7 @@ class Tie:
     rms_px: float
     pixels: FloatArray
     comparison: Comparison
+    parallax_deg: float = 0.0
 
     @property
     def tied(self) -> bool:
@@ -109,28 +123,33 @@ def tie(first: View, second: View, *, search_deg: float = SEARCH_DEG) -> Tie | N
     if shared is None:
         return None
     corners, textured, distinct = shared
-    pixels, fit_turn, sigma, rms = np.empty((0, 4)), np.zeros(3), float("nan"), float("nan")
     searched = min(len(corners), _COARSE_CORNERS)
+    found = None
     if textured and searched >= MIN_POINTS:
         found = _search(first, second, corners, search)
-        if found is not None:
-            pixels, fit_turn, sigma, rms = found
-    if len(pixels) < MIN_POINTS:
-        pixels, fit_turn = np.empty((0, 4)), np.zeros(3)
+        if found is None and first.place is not None and second.place is not None:
+            # farther apart than is searched: where the recorded positions say
+            shift = first.rotation.T @ (second.place - first.place)
+            if np.linalg.norm(shift) >= _FAR:
+                found = _search(first, second, corners, search, shift)
+    match = _NO_MATCH if found is None or len(found.pixels) < MIN_POINTS else found
     return Tie(
-        points=len(pixels),
+        points=len(match.pixels),
         searched=searched,
         textured=textured,
         distinct=distinct,
-        turn_world_deg=np.degrees(first.rotation @ fit_turn),
-        sigma_deg=sigma,
-        rms_px=rms,
-        pixels=pixels,
+        turn_world_deg=np.degrees(first.rotation @ match.turn),
+        sigma_deg=match.sigma_deg,
+        rms_px=match.rms_px,
+        pixels=match.pixels,
         comparison=_compared(first, second),
+        parallax_deg=match.parallax_deg,
     )
 
 
-def _project(first: View, second: View, places: FloatArray, turn: FloatArray | None = None) -> FloatArray:
+def _project(
+    first: View, second: View, places: FloatArray, turn: FloatArray | None = None, shift: FloatArray | None = None
+) -> FloatArray:
     """Where pixels (k, 2) of the first photo are in the second, (k, 2); NaN behind it.
 
     Args:
@@ -138,8 +157,12 @@ def _project(first: View, second: View, places: FloatArray, turn: FloatArray | N
         second: the photo into which they are projected.
         places: pixels of the first.
         turn: rotation vector that corrects the attitude of the first, its camera's frame.
+        shift: where the second camera is from the first, heights above flat ground, the first camera's frame.
     """
     rays = np.concatenate([np.full((len(places), 1), first.focal_px), places - first.centre], axis=1)
+    if shift is not None:
+        down = downward(places - first.centre, first.focal_px, first.rotation)
+        rays = rays - (first.focal_px * down)[:, None] * shift
     relative = second.rotation.T @ first.rotation
     if turn is not None:
         relative = relative @ rotation_of_vector(turn)
@@ -197,25 +220,47 @@ def _compared(first: View, second: View) -> Comparison:
     return compare(first.features, second.features, cells=cells, places=places[cells], jacobian=jacobian)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Match:
+    """Matched pixels (k, 4), the turn of the first photo that they imply, and the rest as in `Tie`."""
+
+    pixels: FloatArray
+    turn: FloatArray
+    sigma_deg: float
+    rms_px: float
+    parallax_deg: float = 0.0
+
+
+_NO_MATCH: Final = _Match(pixels=np.empty((0, 4)), turn=np.zeros(3), sigma_deg=float("nan"), rms_px=float("nan"))
+
+
 def _search(
-    first: View, second: View, corners: FloatArray, search: int
-) -> tuple[FloatArray, FloatArray, float, float] | None:
-    """Matched pixels (k, 4), the turn of the first photo that they imply, its uncertainty (degrees), and rms (px)."""
+    first: View, second: View, corners: FloatArray, search: int, start: FloatArray | None = None
+) -> _Match | None:
+    """The match, searched about the measured attitudes, and about a shift if one is given (see `_project`)."""
     chosen = corners[:_COARSE_CORNERS]
     reach = search // 2
     places = np.round(chosen)
     template = _patches(first, first, places, half=_COARSE_HALF, step=2)
-    window = _patches(first, second, places, half=_COARSE_HALF + reach, step=2)
-    shift, score = _correlate_wide(template, window)
+    window = _patches(first, second, places, half=_COARSE_HALF + reach, step=2, shift=start)
+    shift, score = correlate_wide(template, window)
     if (score >= _COARSE_NCC).sum() < MIN_POINTS // 2 + 1:
         return None
-    matrix = displacement_matrix(places - first.centre, first.focal_px)
     order = _best_first(score, _COARSE_NCC)
+    coarse = places[order], 2.0 * shift[order]
+    if start is not None:
+        return _from_elsewhere(first, second, corners, coarse, start=start)
+    matrix = displacement_matrix(places - first.centre, first.focal_px)
     fit = consensus(matrix[order], 2.0 * shift[order], tolerance_px=3.0, weights=score[order])
-    if fit is None or fit.inliers.sum() < 4:
-        return None
     # displaced content: the scene, seen from the first photo, appears turned by this
-    turn = fit.turn
+    turned = None if fit is None or fit.inliers.sum() < 4 else _by_turn(first, second, corners, fit.turn)
+    if turned is not None and turned.rms_px <= _WELL_PX and len(turned.pixels) >= _WELL_FRAC * len(corners):
+        return turned
+    return _from_elsewhere(first, second, corners, coarse, turned=turned)
+
+
+def _by_turn(first: View, second: View, corners: FloatArray, turn: FloatArray) -> _Match | None:
+    """The match at full scale, about a turn."""
     places = np.round(corners)
     inside = _inside(second, _project(first, second, places, turn), _FINE_HALF + 2.0)
     places = places[inside]
@@ -223,7 +268,7 @@ def _search(
         return None
     template = _patches(first, first, places, half=_FINE_HALF)
     window = _patches(first, second, places, half=_FINE_HALF + _FINE_SEARCH, turn=turn)
-    shift, score = _correlate_near(template, window)
+    shift, score = correlate_near(template, window)
     order = _best_first(score, _FINE_NCC)
     matrix = displacement_matrix(places[order] - first.centre, first.focal_px)
     fit = consensus(matrix, shift[order], tolerance_px=1.2)
@@ -235,11 +280,77 @@ def _search(
     # a point at `places` of the first is found where the second shows `places + shift`, resampled under the turn
     other = _project(first, second, places[kept] + shift[kept], turn)
     total = turn + fit.turn
-    return np.concatenate([places[kept], other], axis=1), total, fit.sigma_deg, fit.rms_px
+    pixels = np.concatenate([places[kept], other], axis=1)
+    return _Match(pixels=pixels, turn=total, sigma_deg=fit.sigma_deg, rms_px=fit.rms_px)
+
+
+def _from_elsewhere(
+    first: View,
+    second: View,
+    corners: FloatArray,
+    coarse: tuple[FloatArray, FloatArray],
+    *,
+    turned: _Match | None = None,
+    start: FloatArray | None = None,
+) -> _Match | None:
+    """The match if the photos were taken from different places; `turned` unless that explains clearly more.
+
+    Args:
+        first: whose corners are searched.
+        second: the other photo.
+        corners: in the overlap.
+        coarse: places and displacements at half the scale, the most certain first.
+        turned: what a turn alone explains.
+        start: the shift about which the displacements were found.
+    """
+    where, moved = coarse
+    fit = ground_consensus(ground_matrix(where - first.centre, first.focal_px, first.rotation), moved, tolerance_px=2.5)
+    places = np.round(corners)
+    if fit is None or fit.inliers.sum() < _GROUND_POINTS:
+        return turned
+    turn, shift = fit.turn, fit.shift if start is None else fit.shift + start
+    inside = _inside(second, _project(first, second, places, turn, shift), _FINE_HALF + 2.0)
+    places = places[inside]
+    if len(places) < _GROUND_POINTS:
+        return turned
+    template = _patches(first, first, places, half=_FINE_HALF)
+    window = _patches(first, second, places, half=_FINE_HALF + _FINE_SEARCH, turn=turn, shift=shift)
+    found, score = correlate_near(template, window)
+    order = _best_first(score, _FINE_NCC)
+    fit = ground_consensus(
+        ground_matrix(places[order] - first.centre, first.focal_px, first.rotation), found[order], tolerance_px=1.2
+    )
+    if fit is None or fit.inliers.sum() < max(_GROUND_POINTS, 0.5 * len(places)):
+        return turned
+    kept = order[fit.inliers]
+    other = _project(first, second, places[kept] + found[kept], turn, shift)
+    turn, shift = turn + fit.turn, shift + fit.shift
+    clearer = turned is None or (
+        len(kept) >= 1.25 * len(turned.pixels)
+        or (len(kept) >= 0.9 * len(turned.pixels) and fit.rms_px <= 0.7 * turned.rms_px)
+    )
+    if not clearer or fit.sigmas(shift) < _SURE_SIGMAS:
+        return turned
+    rays = ground_matrix(places[kept] - first.centre, first.focal_px, first.rotation)[:, :, 3:]
+    displaced = float(np.linalg.norm(rays @ shift, axis=1).max()) / first.focal_px
+    return _Match(
+        pixels=np.concatenate([places[kept], other], axis=1),
+        turn=turn,
+        sigma_deg=fit.sigma_deg,
+        rms_px=fit.rms_px,
+        parallax_deg=float(np.degrees(displaced)),
+    )
 
 
 def _patches(
-    first: View, of: View, places: FloatArray, *, half: int, step: int = 1, turn: FloatArray | None = None
+    first: View,
+    of: View,
+    places: FloatArray,
+    *,
+    half: int,
+    step: int = 1,
+    turn: FloatArray | None = None,
+    shift: FloatArray | None = None,
 ) -> Floats:
     """Square patches (k, 2 half + 1, 2 half + 1) of a photo in the pixel grid of the first about places.
 
@@ -250,20 +361,21 @@ def _patches(
         half: half the side, steps.
         step: pixels of the first from one sample to the next; 2 x 2 pixels are averaged for 2.
         turn: see `_project`.
+        shift: likewise.
     """
     offsets = np.arange(-half, half + 1) * step
     grey = of.features.grey
     if of is first and turn is None:
         columns = (places[:, 0].astype(np.intp))[:, None] + offsets
         rows = (places[:, 1].astype(np.intp))[:, None] + offsets
-        return _samples(grey, columns[:, None, :].astype(np.float32), rows[:, :, None].astype(np.float32), step)
+        return samples(grey, columns[:, None, :].astype(np.float32), rows[:, :, None].astype(np.float32), step)
     # an affine map about each centre: exact to a tenth of a pixel over a patch
-    centre = _project(first, of, places, turn)[:, :, None, None]
-    map_ = _derivative(first, of, places, turn)[:, :, :, None, None]
+    centre = _project(first, of, places, turn, shift)[:, :, None, None]
+    map_ = _derivative(first, of, places, turn, shift)[:, :, :, None, None]
     across, along = offsets[None, None, :], offsets[None, :, None]
     x = centre[:, 0] + map_[:, 0, 0] * across + map_[:, 0, 1] * along
     y = centre[:, 1] + map_[:, 1, 0] * across + map_[:, 1, 1] * along
-    return _samples(grey, x.astype(np.float32), y.astype(np.float32), step)
+    return samples(grey, x.astype(np.float32), y.astype(np.float32), step)
 
 
 def _best_first(score: FloatArray, least: float) -> NDArray[np.intp]:
@@ -272,101 +384,13 @@ def _best_first(score: FloatArray, least: float) -> NDArray[np.intp]:
     return np.asarray(order[score[order] >= least])
 
 
-def _derivative(first: View, of: View, places: FloatArray, turn: FloatArray | None) -> FloatArray:
+def _derivative(
+    first: View, of: View, places: FloatArray, turn: FloatArray | None, shift: FloatArray | None = None
+) -> FloatArray:
     """Derivatives (k, 2, 2) of `_project`, over 16 pixels."""
     steps = (np.array([8.0, 0.0]), np.array([0.0, 8.0]))
-    moved = [_project(first, of, places + step, turn) - _project(first, of, places - step, turn) for step in steps]
+    moved = [
+        _project(first, of, places + step, turn, shift) - _project(first, of, places - step, turn, shift)
+        for step in steps
+    ]
     return np.asarray(np.stack(moved, axis=-1) / 16.0)
-
-
-def _samples(grey: NDArray[np.uint8], columns: Floats, rows: Floats, step: int) -> Floats:
-    """Bilinear samples, or with step 2 means of 2 x 2 neighbours; NaN-free: the border repeats."""
-    height, width = grey.shape
-    columns = np.clip(columns, 0, width - 1.001)
-    rows = np.clip(rows, 0, height - 1.001)
-    left, top = columns.astype(np.int32), rows.astype(np.int32)
-    flat = grey.ravel()
-    index = top * np.int32(width) + left
-    a, b = flat.take(index).astype(np.float32), flat.take(index + 1).astype(np.float32)
-    index = index + np.int32(width)
-    c, d = flat.take(index).astype(np.float32), flat.take(index + 1).astype(np.float32)
-    if step == 2:
-        return np.asarray((a + b + c + d) * np.float32(0.25))
-    x, y = columns - left, rows - top
-    upper = a + (b - a) * x
-    return np.asarray(upper + (c + (d - c) * x - upper) * y)
-
-
-def _normalised(template: Floats) -> Floats:
-    """Templates with zero mean and unit norm."""
-    centred = template - template.mean(axis=(1, 2), keepdims=True)
-    norm = np.sqrt((centred**2).sum(axis=(1, 2), keepdims=True))
-    return np.asarray(centred / np.maximum(norm, np.float32(1e-3)))
-
-
-def _window_norms(window: Floats, side: int) -> Floats:
-    """Norm about the mean of every place of a template in the windows, (k, s, s)."""
-
-    def sums(values: Floats) -> FloatArray:
-        total = np.zeros((len(values), values.shape[1] + 1, values.shape[2] + 1))
-        np.cumsum(np.cumsum(values, axis=1, dtype=np.float64), axis=2, out=total[:, 1:, 1:])
-        return total[:, side:, side:] - total[:, :-side, side:] - total[:, side:, :-side] + total[:, :-side, :-side]
-
-    mean = sums(window)
-    square = sums(window * window)
-    return np.asarray(np.sqrt(np.maximum(square - mean**2 / side**2, 1.0)), dtype=np.float32)
-
-
-def _correlate_wide(template: Floats, window: Floats) -> tuple[FloatArray, FloatArray]:
-    """Displacement (k, 2) of the best correlation over large windows, by Fourier transforms, and its score (k,)."""
-    side = template.shape[1]
-    span = window.shape[1] - side + 1
-    window = window - window.mean(axis=(1, 2), keepdims=True)
-    size = _fast_length(window.shape[1])
-    spectrum = np.fft.rfft2(window, s=(size, size)) * np.conj(np.fft.rfft2(_normalised(template), s=(size, size)))
-    score = np.fft.irfft2(spectrum, s=(size, size))[:, :span, :span].astype(np.float32)
-    score /= _window_norms(window, side)
-    return _peaks(score, span // 2)
-
-
-def _correlate_near(template: Floats, window: Floats) -> tuple[FloatArray, FloatArray]:
-    """Likewise over small windows, directly."""
-    side = template.shape[1]
-    span = window.shape[1] - side + 1
-    window = window - window.mean(axis=(1, 2), keepdims=True)
-    views = sliding_window_view(window, (side, side), axis=(1, 2))
-    score = np.einsum("kabij,kij->kab", views, _normalised(template), optimize=True)
-    score /= _window_norms(window, side)
-    return _peaks(score, span // 2)
-
-
-def _peaks(score: Floats, middle: int) -> tuple[FloatArray, FloatArray]:
-    """The highest value of each map, with a parabola through its neighbours; a peak at the border has score 0."""
-    count, side = score.shape[:2]
-    best = score.reshape(count, -1).argmax(axis=1)
-    row, column = best // side, best % side
-    number = np.arange(count)
-    value = score[number, row, column].astype(np.float64)
-    inner = (row > 0) & (row < side - 1) & (column > 0) & (column < side - 1)
-    r, c = np.clip(row, 1, side - 2), np.clip(column, 1, side - 2)
-
-    def vertex(before: FloatArray, at: FloatArray, after: FloatArray) -> FloatArray:
-        curve = before - 2 * at + after
-        return np.clip(np.where(curve < -1e-9, (before - after) / (2 * np.minimum(curve, -1e-9)), 0.0), -0.5, 0.5)
-
-    centre = score[number, r, c]
-    x = column + vertex(score[number, r, c - 1], centre, score[number, r, c + 1])
-    y = row + vertex(score[number, r - 1, c], centre, score[number, r + 1, c])
-    return np.stack([x - middle, y - middle], axis=-1), np.where(inner, value, 0.0)
-
-
-def _fast_length(least: int) -> int:
-    """The next length of small prime factors."""
-    best = 1 << (least - 1).bit_length()
-    for fives in (1, 5):
-        for threes in (1, 3, 9):
-            length = fives * threes
-            while length < least:
-                length *= 2
-            best = min(best, length)
-    return best

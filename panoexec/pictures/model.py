@@ -41,11 +41,14 @@ class TieLine:
         shot: the other photo's.
         points: how many corners agree.
         angle_deg: by how much the two measured attitudes contradict the content.
+        parallax_deg: by how much the ground is displaced because they were taken from different places; 0 where a
+            rotation explains it all.
     """
 
     shot: int
     points: int
     angle_deg: float
+    parallax_deg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,8 +140,11 @@ class PhotoToCheck:
         shot: its number.
         rotation: (3, 3) measured attitude, camera to plan frame.
         time_s: when it was taken, on any clock; NaN if unknown.
+        place: where, plan frame (north or the plan's yaw 0, right of it, down), heights above the ground from one
+            point of the mission; None if unknown.
     """
 
     shot: int
     rotation: FloatArray
     time_s: float = float("nan")
+    place: FloatArray | None = None

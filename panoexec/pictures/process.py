@@ -69,7 +69,9 @@ class PictureProcess:
         """
         await self._ask({"planned": {str(shot): list(q) for shot, q in planned.items()}})
 
-    async def add(self, shot: int, path: Path, q_wxyz: Sequence[float], time_s: float) -> Verdicts:
+    async def add(
+        self, shot: int, path: Path, q_wxyz: Sequence[float], time_s: float, place: Sequence[float] | None = None
+    ) -> Verdicts:
         """Examine a photo; it replaces an earlier one of the same shot.
 
         Args:
@@ -77,11 +79,13 @@ class PictureProcess:
             path: its file.
             q_wxyz: measured attitude.
             time_s: when it was taken, on any clock.
+            place: where, as in `PhotoToCheck`.
 
         Raises:
             DeviceError: the process failed.
         """
-        return await self._ask({"add": _photo(shot, q_wxyz, time_s) | {"path": str(path)}})
+        more = {"path": str(path), "place": None if place is None else list(place)}
+        return await self._ask({"add": _photo(shot, q_wxyz, time_s) | more})
 
     async def condemn(self, shot: int, code: Content, reason: str, q_wxyz: Sequence[float], time_s: float) -> Verdicts:
         """Add a photo that is bad for a reason that others found.
@@ -177,7 +181,10 @@ def _verdicts(answer: Mapping[str, Any]) -> Verdicts:
             stops=math.nan if entry["stops"] is None else entry["stops"],
             odd_deg=entry["odd_deg"],
             error_deg=(entry["error_deg"][0], entry["error_deg"][1], entry["error_deg"][2]),
-            ties=tuple(TieLine(shot=shot, points=points, angle_deg=angle) for shot, points, angle in entry["ties"]),
+            ties=tuple(
+                TieLine(shot=shot, points=points, angle_deg=angle, parallax_deg=parallax)
+                for shot, points, angle, parallax in entry["ties"]
+            ),
         )
         for entry in answer["photos"]
     }

@@ -48,6 +48,8 @@ class _Session:
 
     def obey(self, request: dict[str, Any]) -> dict[str, Any]:
         """Carry out a request."""
+        import numpy as np  # noqa: PLC0415
+
         from panoexec.angles import rotation_from_quaternion  # noqa: PLC0415
         from panoexec.optics import Camera  # noqa: PLC0415
         from panoexec.pictures.model import PhotoToCheck  # noqa: PLC0415
@@ -60,7 +62,9 @@ class _Session:
             self._examiner.plan({int(shot): rotation_from_quaternion(q) for shot, q in planned.items()})
         if add := request.get("add"):
             time_s = math.nan if add["time_s"] is None else float(add["time_s"])
-            photo = PhotoToCheck(shot=add["shot"], rotation=rotation_from_quaternion(add["q_wxyz"]), time_s=time_s)
+            rotation = rotation_from_quaternion(add["q_wxyz"])
+            place = None if add.get("place") is None else np.array(add["place"], dtype=np.float64)
+            photo = PhotoToCheck(shot=add["shot"], rotation=rotation, time_s=time_s, place=place)
             if problem := add.get("problem"):
                 self._examiner.condemn(photo, *problem)
             else:
@@ -91,7 +95,7 @@ class _Session:
                     "stops": _number(judged.stops),
                     "odd_deg": judged.odd_deg,
                     "error_deg": list(judged.error_deg),
-                    "ties": [[tie.shot, tie.points, tie.angle_deg] for tie in judged.ties],
+                    "ties": [[tie.shot, tie.points, tie.angle_deg, tie.parallax_deg] for tie in judged.ties],
                 }
                 for judged in found.photos.values()
             ],

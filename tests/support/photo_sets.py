@@ -69,6 +69,8 @@ def photo_set(
     kind: str = "city",
     faults: dict[int, str] | None = None,
     quality: int = 90,
+    shifts: dict[int, tuple[float, float, float]] | None = None,
+    bias_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> PhotoSet:
     """Photograph a plan.
 
@@ -81,6 +83,8 @@ def photo_set(
         kind: of the scene.
         faults: by place in the shooting order: a name of the simulator's faults, `attitude-lie=DEG`, `photo-blur=PX`.
         quality: of the JPEGs.
+        shifts: by place in the shooting order: where the camera was, as shares of its height (`Renderer.render`).
+        bias_deg: constant error of the measured yaw, pitch and roll.
     """
     from panoexec.sim.photos.spoiling import spoiled_file, spoiled_image  # noqa: PLC0415
 
@@ -96,14 +100,15 @@ def photo_set(
         heading = HEADING_DEG * math.sin(phase + 2 * math.pi * time_s / period)
         yaw, pitch, roll = (angle + rng.gauss(0, 0.03) for angle in (shot.yaw_deg, shot.pitch_deg, 0.0))
         truth = rotation(yaw - heading, pitch, roll)
-        measured = rotation(*(a + rng.gauss(0, ENCODER_DEG) for a in (yaw, pitch, roll)))
+        reported = (a + rng.gauss(0, ENCODER_DEG) + bias for a, bias in zip((yaw, pitch, roll), bias_deg, strict=True))
+        measured = rotation(*reported)
         name, _, size = faults.get(number, "").partition("=")
         if name == "attitude-lie":
             # the camera is elsewhere than it says
             truth = truth @ _turn(rng, float(size))
         truths.append(truth)
         measures.append(measured)
-        images.append(make.render(plan.camera, truth, width_px))
+        images.append(make.render(plan.camera, truth, width_px, shift=(shifts or {}).get(number, (0.0, 0.0, 0.0))))
     order = list(range(len(images)))
     for number, name in faults.items():
         if name == "photo-swapped" and number + 1 < len(order):

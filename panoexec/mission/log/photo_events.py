@@ -53,11 +53,13 @@ class PhotoTie:
         shot: the other photo's.
         points: how many points agree.
         angle_deg: by how much the two measured attitudes contradict the content.
+        parallax_deg: by how much the ground is displaced because they were taken from different places.
     """
 
     shot: Whole
     points: Whole
     angle_deg: Number
+    parallax_deg: Number = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -28,6 +28,7 @@ _BLOCK_PIXELS: Final = 1 << 15
 _STILL_PX: Final = 0.2
 """A camera that moves less than this during an exposure counts as stationary."""
 
+_NO_SHIFT: Final = (0.0, 0.0, 0.0)
 _LOW_BYTES: Final = np.uint32(0x00FF00FF)
 
 
@@ -48,7 +49,14 @@ class Renderer:
         self._coarser: list[Image] = [scene.pixels]
         self._packed: dict[int, NDArray[np.uint32]] = {}
 
-    def render(self, camera: Camera, rotations: FloatArray, width_px: int) -> Image:
+    def render(
+        self,
+        camera: Camera,
+        rotations: FloatArray,
+        width_px: int,
+        *,
+        shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> Image:
         """Render one exposure.
 
         Args:
@@ -56,6 +64,8 @@ class Renderer:
             rotations: camera-to-world rotation (3, 3), or (k, 3, 3): evenly spaced over the time that the shutter was
                 open, whose images are averaged.
             width_px: width of the image.
+            shift: where the camera is, north, east and down of where the scene was taken from, as shares of its height
+                above flat ground: what is above the horizon stays at infinite distance.
 
         Returns:
             (h, width_px, 3) uint8 RGB; h from `image_size`.
@@ -64,10 +74,10 @@ class Renderer:
         poses = _distinct(poses, camera, width_px)
         texture = self._texture(_level(self.scene, camera, width_px))
         if len(poses) == 1:
-            return _render_still(texture, camera, poses[0], width_px)
+            return _render_still(texture, camera, poses[0], width_px, shift)
         total = np.zeros((*image_size(camera, width_px)[::-1], 3), dtype=np.uint32)
         for pose in poses:
-            total += _render_still(texture, camera, pose, width_px)
+            total += _render_still(texture, camera, pose, width_px, shift)
         return np.asarray((total + len(poses) // 2) // len(poses), dtype=np.uint8)
 
     def _texture(self, level: int) -> NDArray[np.uint32]:
@@ -124,7 +134,9 @@ def _distinct(poses: FloatArray, camera: Camera, width_px: int) -> FloatArray:
     return poses[len(poses) // 2 : len(poses) // 2 + 1] if moved < _STILL_PX else poses
 
 
-def _render_still(texture: NDArray[np.uint32], camera: Camera, pose: FloatArray, width_px: int) -> Image:
+def _render_still(
+    texture: NDArray[np.uint32], camera: Camera, pose: FloatArray, width_px: int, shift: tuple[float, float, float]
+) -> Image:
     width, height = image_size(camera, width_px)
     step = 2 * camera.half_width / width
     right = ((np.arange(width) + 0.5 - width / 2) * step).astype(np.float32)
@@ -136,6 +148,10 @@ def _render_still(texture: NDArray[np.uint32], camera: Camera, pose: FloatArray,
     for top in range(0, height, rows):
         block = down[top : top + rows]
         x, y, z = (across[axis] + m[axis, 2] * block for axis in range(3))
+        if any(shift):
+            # the ground seen along (x, y, z) is this far down, in heights; from the scene's place it is elsewhere
+            down_by = np.maximum(z, np.float32(0)) / np.float32(1 - shift[2])
+            x, y, z = (axis + np.float32(part) * down_by for axis, part in zip((x, y, z), shift, strict=True))
         # little-endian bytes are R, G, B, 0
         rgb = _bilinear(texture, x, y, z).astype("<u4", copy=False).view(np.uint8)
         out[top : top + rows] = rgb.reshape(*x.shape, 4)[..., :3]

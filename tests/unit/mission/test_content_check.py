@@ -38,8 +38,10 @@ class Checker:
     async def plan(self, planned: Mapping[int, Sequence[float]]) -> None:
         self.planned = dict(planned)
 
-    async def add(self, shot: int, path: Path, q_wxyz: Sequence[float], time_s: float) -> Verdicts:
-        del path, q_wxyz, time_s
+    async def add(
+        self, shot: int, path: Path, q_wxyz: Sequence[float], time_s: float, place: Sequence[float] | None = None
+    ) -> Verdicts:
+        del path, q_wxyz, time_s, place
         if self.broken:
             raise DeviceError("gone")
         self.added.append(shot)
