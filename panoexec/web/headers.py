@@ -13,6 +13,9 @@ PAGE_POLICY: Final = (
 )
 """Content-Security-Policy of the page."""
 
+REPORT_POLICY: Final = "sandbox allow-scripts allow-popups allow-popups-to-escape-sandbox; frame-ancestors 'self'"
+"""Of a report, which has a policy of its own inside: it runs in an origin of its own."""
+
 _NOTHING: Final = "default-src 'none'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 _ALWAYS: Final = {
     "Content-Security-Policy": _NOTHING,

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import resource
 import ssl
+import sys
 from collections.abc import Coroutine
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,10 +19,11 @@ from aiohttp import web
 from panoexec.errors import UsageError
 from panoexec.inputs.config import MqttSection, WebSection
 from panoexec.web.access import Access, is_loopback
-from panoexec.web.audience import Browser, Browsers
+from panoexec.web.audience import Browsers
 from panoexec.web.broker import BrokerLink
 from panoexec.web.commands import Commands
 from panoexec.web.fleet import Fleet
+from panoexec.web.library import Library, ended
 from panoexec.web.pages import Pages
 from panoexec.web.protocol import encode
 from panoexec.web.sockets import Sockets
@@ -83,6 +86,8 @@ class Server:
         self._fleet.on_response = self._commands.hear
         secure = self._tls is not None or any(one.startswith("https:") for one in section.origins)
         self._pages = Pages(access=self._access, fleet=self._fleet, tls=secure)
+        self._cameras: list[Any] = []
+        self._library = Library(options.storage, browsers=self._browsers, spawn=self._spawn)
         self._sockets = Sockets(
             access=self._access,
             browsers=self._browsers,
@@ -90,7 +95,7 @@ class Server:
             link=self._link,
             commands=self._commands,
             greeting=self._greeting,
-            stitch=self._stitch,
+            stitch=self._library.stitch,
             followed=lambda _: None,
         )
 
@@ -119,6 +124,7 @@ class Server:
                 broker=f"{self._options.mqtt.host}:{self._options.mqtt.port}",
             )
             async with asyncio.TaskGroup() as group:
+                group.create_task(self._read_cameras(), name="cameras")
                 self._tasks = group
                 group.create_task(self._link.run(), name="broker link")
                 group.create_task(self._sockets.beat(), name="beat")
@@ -132,7 +138,7 @@ class Server:
         app = web.Application(middlewares=[self._pages.guard], client_max_size=16 * 1024)
         self._pages.add_routes(app)
         app.router.add_get("/socket", self._sockets.handle)
-        app.router.add_get("/api/missions", self._missions)
+        self._library.add_routes(app)
         return app
 
     def _spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
@@ -140,16 +146,23 @@ class Server:
         return self._tasks.create_task(work)
 
     def _greeting(self) -> dict[str, Any]:
-        nowhere = "no missions are stored on this computer"
-        return {"missions": self._options.storage is not None, "stitch": nowhere, "cameras": []}
+        return {"missions": self._library.has_storage, "stitch": self._library.cannot_stitch, "cameras": self._cameras}
 
-    def _stitch(self, browser: Browser, mission_id: str) -> None:
-        del mission_id
-        browser.put(encode("problem", text="no missions are stored on this computer"))
-
-    async def _missions(self, request: web.Request) -> web.StreamResponse:
-        del request
-        return web.json_response({"storage": False, "missions": []})
+    async def _read_cameras(self) -> None:
+        """Read the camera profiles in a process of their own: what that imports is larger than the server."""
+        process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "panoexec", "cameras", "--json"),
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.DEVNULL,
+        )
+        try:
+            out, _ = await process.communicate()
+        finally:
+            await ended(process)
+        with contextlib.suppress(ValueError):
+            self._cameras = json.loads(out)
+        self._browsers.tell_all(encode("cameras", cameras=self._cameras))
 
 
 def _tls(section: WebSection) -> ssl.SSLContext | None:

@@ -1,0 +1,32 @@
+"""The files of a mission that the page shows: found by what they are, never by a name from a request."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+
+def stitched_file(folder: Path) -> Path | None:
+    """The stitched panorama, the best there is."""
+    stitched = folder / "stitch"
+    return next((path for name in ("panorama.tif", "panorama.jpg") if (path := stitched / name).is_file()), None)
+
+
+def preview_file(folder: Path) -> Path | None:
+    """A small JPEG for a list: of the panorama, else of the shot in the middle."""
+    stitched = folder / "stitch" / "panorama.jpg"
+    if stitched.is_file():
+        return stitched
+    thumbnails = sorted((folder / "thumbnails").glob("*.jpg"))
+    return thumbnails[len(thumbnails) // 2] if thumbnails else None
+
+
+def photo_file(folder: Path, name: str) -> Path | None:
+    """A photo by its name in the manifest, which is below `images/`; None for any other file."""
+    try:
+        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+        files = {shot.get("file") for shot in manifest["shots"]}
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return None
+    wanted = f"images/{name}"
+    return folder / wanted if wanted in files and ".." not in name.split("/") else None
