@@ -13,6 +13,7 @@ from pathlib import Path
 from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
 from panoexec.adapters.link.connection_url import ConnectionUrl
 from panoexec.adapters.link.file_urls import FileUrls
+from panoexec.adapters.link.first_heartbeats import OpenedConnection
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import Clock
@@ -36,7 +37,14 @@ class LinkedVehicle:
 
 @asynccontextmanager
 async def linked_vehicle(
-    config: Config, url: ConnectionUrl, *, clock: Clock, patient: bool = False, throttling: bool = False
+    config: Config,
+    url: ConnectionUrl,
+    *,
+    clock: Clock,
+    patient: bool = False,
+    throttling: bool = False,
+    opened: OpenedConnection | None = None,
+    guarded: bool = False,
 ) -> AsyncIterator[LinkedVehicle]:
     """Open the link that the configuration describes.
 
@@ -46,6 +54,8 @@ async def linked_vehicle(
         clock: of missions.
         patient: see `MavsdkLink`.
         throttling: see `MavsdkLink`.
+        opened: see `MavsdkLink`.
+        guarded: see `MavsdkLink`.
 
     Raises:
         LinkError: the port is in use, or the device cannot be opened.
@@ -58,6 +68,8 @@ async def linked_vehicle(
         vehicle_system_id=section.system_id,
         patient=patient,
         throttling=throttling,
+        opened=opened,
+        guarded=guarded,
         files=FileUrls(folders=file_folders(config), hosts=file_hosts(config, url)),
     )
     async with (

@@ -18,15 +18,14 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import panoexec.cli.lean  # noqa: F401  (must be imported first)
+from panoexec.adapters.link.first_heartbeats import OpenedConnection, open_at_once
 from panoexec.cli.numbers import positive
 from panoexec.cli.one_heap import use_one_heap
-from panoexec.clock import SystemClock
-from panoexec.daemon.daemon import Daemon
-from panoexec.daemon.mission_request import configuration_problems
-from panoexec.daemon.sdnotify import SystemdNotifier
 from panoexec.errors import InputFileError, PanoexecError, UsageError
 from panoexec.inputs.config import Config, load_config
 from panoexec.logs import configure_logs
+
+# the daemon's modules are imported when heartbeats are sent, see `first_heartbeats`
 
 DEFAULT_CONFIG = Path("/etc/panoexec/config.toml")
 EXIT_CONFIG = 78
@@ -47,10 +46,17 @@ def run(args: argparse.Namespace) -> int:
     """Run until SIGTERM."""
     use_one_heap()
     try:
-        config = checked_config(args.config, os.environ)
+        config = load_config(args.config, os.environ)
         configure_logs(config.log.level, config.log.format)
+        opened = open_at_once(config.vehicle)
+        try:
+            _check(args.config, config)
+        except BaseException:
+            if opened is not None:
+                opened.close()
+            raise
         _wait_for_children_without_threads()
-        asyncio.run(_serve(config, args.config, args.speedup))
+        asyncio.run(_serve(config, args.config, args.speedup, opened))
     except BaseExceptionGroup as failures:
         ours = [failure for failure in _leaves(failures) if isinstance(failure, PanoexecError)]
         if not ours:
@@ -81,19 +87,30 @@ def checked_config(path: Path, environment: Mapping[str, str]) -> Config:
         InputFileError: the configuration is invalid; the error lists every problem.
     """
     config = load_config(path, environment)
-    problems = configuration_problems(config)
-    if problems:
-        raise InputFileError(str(path), problems)
+    _check(path, config)
     return config
 
 
-async def _serve(config: Config, path: Path, speedup: float) -> None:
+def _check(path: Path, config: Config) -> None:
+    from panoexec.daemon.mission_request import configuration_problems  # noqa: PLC0415
+
+    problems = configuration_problems(config)
+    if problems:
+        raise InputFileError(str(path), problems)
+
+
+async def _serve(config: Config, path: Path, speedup: float, opened: OpenedConnection | None) -> None:
+    from panoexec.clock import SystemClock  # noqa: PLC0415
+    from panoexec.daemon.daemon import Daemon  # noqa: PLC0415
+    from panoexec.daemon.sdnotify import SystemdNotifier  # noqa: PLC0415
+
     daemon = Daemon(
         config,
         clock=SystemClock(speedup),
         reload=lambda: checked_config(path, os.environ),
         notifier=SystemdNotifier(),
         config_file=path,
+        opened=opened,
     )
     await daemon.run()
 

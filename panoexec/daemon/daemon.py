@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import structlog
 
+from panoexec.adapters.link.first_heartbeats import OpenedConnection
 from panoexec.clock import Clock
 from panoexec.daemon.auto_resume import AutoResume
 from panoexec.daemon.camera_files import CameraFiles
@@ -66,6 +67,7 @@ class Daemon:
         notifier: SystemdNotifier,
         vehicle: VehicleLink | None = None,
         config_file: Path = Path("config.toml"),
+        opened: OpenedConnection | None = None,
     ) -> None:
         """Create the components that do not need the storage.
 
@@ -76,6 +78,7 @@ class Daemon:
             notifier: to the service manager.
             vehicle: in place of the one that the configuration describes.
             config_file: the configuration's file, for advice.
+            opened: the connection to the vehicle, if it is open already.
         """
         self._boot_id = uuid.uuid4().hex
         self._notifier = notifier
@@ -93,7 +96,7 @@ class Daemon:
                 on_connected=self._changed.set,
                 boot_id=self._boot_id,
             )
-        self.vehicle = vehicle or VehicleLink(config, clock=clock, changed=self._changed.set)
+        self.vehicle = vehicle or VehicleLink(config, clock=clock, changed=self._changed.set, opened=opened)
         self._thumbnails = Thumbnails(config=self._config, mqtt=self.mqtt)
         events = EventPublisher(mqtt=self.mqtt, changed=self._changed.set, beside=self._thumbnails.publish)
         self._files = CameraFiles(self._config, self.vehicle)

@@ -15,6 +15,7 @@ from panoexec.adapters.camera.camera_kind import OpenCamera
 from panoexec.adapters.camera.open_camera import open_camera
 from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
 from panoexec.adapters.link.connection_url import ConnectionUrl
+from panoexec.adapters.link.first_heartbeats import OpenedConnection
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.serial_ports import connection_of
 from panoexec.adapters.linked_vehicle import LinkedVehicle, file_hosts, linked_vehicle
@@ -47,13 +48,21 @@ class VehicleLink:
         pulse_s: time.monotonic of the task's last progress, for the watchdog.
     """
 
-    def __init__(self, config: Config, *, clock: Clock, changed: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self,
+        config: Config,
+        *,
+        clock: Clock,
+        changed: Callable[[], None] = lambda: None,
+        opened: OpenedConnection | None = None,
+    ) -> None:
         """Create it.
 
         Args:
             config: the daemon's configuration.
             clock: the mission clock.
             changed: called when a link is established or lost.
+            opened: the connection, if it is open already.
         """
         self.devices: Devices | None = None
         self.reason = "not connected yet"
@@ -61,6 +70,7 @@ class VehicleLink:
         self._config = config
         self._clock = clock
         self._changed = changed
+        self._opened = opened
         self._linked: LinkedVehicle | None = None
         self._link: MavsdkLink | None = None
         self._gimbal: MavsdkGimbal | None = None
@@ -156,12 +166,21 @@ class VehicleLink:
     async def _hold(self) -> None:
         """One link, until it fails permanently."""
         self._url = url = await asyncio.to_thread(connection_of, self._config.vehicle)
+        opened, self._opened = self._opened, None
         # idle streams are checked once per second of real time, which is a long silence at a speed-up
         throttling = getattr(self._clock, "speedup", 1.0) <= 1.0
         async with contextlib.AsyncExitStack() as stack:
             stack.callback(self._forget)
             linked = await stack.enter_async_context(
-                linked_vehicle(self._config, url, clock=self._clock, patient=True, throttling=throttling)
+                linked_vehicle(
+                    self._config,
+                    url,
+                    clock=self._clock,
+                    patient=True,
+                    throttling=throttling,
+                    opened=opened,
+                    guarded=True,
+                )
             )
             link = linked.link
             self._linked, self._link, self._gimbal, self._vehicle = linked, link, linked.gimbal, linked.vehicle

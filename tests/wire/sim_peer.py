@@ -69,6 +69,10 @@ class UdpPeer:
         packer = mavlink.MAVLink(None, srcSystem=SYSTEM, srcComponent=component)
         self._socket.sendto(message.pack(packer), self._vehicle)
 
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
     def listen(self, seconds: float) -> list[Heard]:
         heard, end = [], time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:

@@ -20,6 +20,8 @@ from mavsdk.plugins.mavlink_direct import MavlinkDirect
 from panoexec.adapters.link.bpf_filter import DatagramFilter
 from panoexec.adapters.link.connection_url import ConnectionUrl, parse_connection
 from panoexec.adapters.link.file_urls import MESSAGE, FileUrls
+from panoexec.adapters.link.first_heartbeats import OpenedConnection
+from panoexec.adapters.link.frozen_loop import FrozenLoopGuard
 from panoexec.adapters.link.mavsdk_errors import quiet_mavsdk_log
 from panoexec.adapters.link.mavsdk_requests import MavsdkRequests
 from panoexec.adapters.link.mavsdk_session import MavsdkSession
@@ -72,6 +74,8 @@ class MavsdkLink:
         patient: bool = False,
         throttling: bool = False,
         files: FileUrls | None = None,
+        opened: OpenedConnection | None = None,
+        guarded: bool = False,
     ) -> None:
         """Create the link; entering the context opens it.
 
@@ -85,6 +89,8 @@ class MavsdkLink:
             patient: wait for a serial device or a host that is absent when the link is opened, instead of raising.
             throttling: after `use_rates(active=False)`, receive fast streams only once a second of real time.
             files: which files a camera may name; None: none but names on its card.
+            opened: the connection, if it is open already.
+            guarded: stop the heartbeats while the event loop stands still.
 
         Raises:
             UsageError: the URL is invalid.
@@ -100,7 +106,7 @@ class MavsdkLink:
         self._patient = patient
         self._throttling = throttling
         self._calls = WorkerCalls("mavsdk")
-        self._session = MavsdkSession(self.url, self._calls)
+        self._session = MavsdkSession(self.url, self._calls, opened=opened)
         self._datagram_filter = DatagramFilter(self.url, _GIMBAL_REPORTS[1])
         self._hub = MessageHub(clock, self.post, mute=self._mute)
         self.files = files or FileUrls()
@@ -127,6 +133,7 @@ class MavsdkLink:
         self._alive = asyncio.Event()
         self._wake = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._guard = FrozenLoopGuard(self._session.cut) if guarded else None
         self._stack = contextlib.AsyncExitStack()
         self._heartbeat_s = -math.inf
         self._watched_s = -math.inf
@@ -192,6 +199,8 @@ class MavsdkLink:
             group = await stack.enter_async_context(asyncio.TaskGroup())
             keeper = group.create_task(self._keep(), name="mavsdk link")
             stack.callback(keeper.cancel)
+            if self._guard is not None:
+                stack.callback(group.create_task(self._guard.run(), name="frozen loop").cancel)
             self._stack = stack.pop_all()
         return self
 
@@ -293,6 +302,7 @@ class MavsdkLink:
         conflict_logged = False
         while True:
             self._wake.clear()
+            await self._session.mend()
             self.streams.measure()
             self._hub.listen_again()
             await self._watch_others()
@@ -327,6 +337,7 @@ class MavsdkLink:
             system = None if chosen is None else self._session.known(chosen.system)
             if chosen is not None and system is not None:
                 break
+            await self._session.mend()
             silent = time.monotonic() - since > _SILENT_REOPEN_S
             if not self._session.is_open or (silent and self.url.kind == "serial"):
                 await self._session.reopen()

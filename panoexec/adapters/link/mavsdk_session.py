@@ -5,17 +5,19 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import math
 import threading
 import time
 from collections.abc import Callable
 from typing import Any, Final, TypeAlias, TypeVar
 
 import structlog
-from mavsdk import Configuration, Mavsdk, System
+from mavsdk import Mavsdk, System
 from mavsdk.plugins.mavlink_direct import MavlinkDirect
 
 from panoexec.adapters.link.connection import close_connection, open_connection
 from panoexec.adapters.link.connection_url import ConnectionUrl
+from panoexec.adapters.link.first_heartbeats import OpenedConnection, new_mavsdk
 from panoexec.adapters.link.thread_state import keep_thread_state
 from panoexec.adapters.link.worker_calls import WorkerCalls
 from panoexec.errors import LinkError
@@ -35,11 +37,14 @@ _log = structlog.get_logger(__name__)
 class MavsdkSession:
     """Owns resources that must be released in order. For the event loop; blocking calls run in worker threads."""
 
-    def __init__(self, url: ConnectionUrl, calls: WorkerCalls) -> None:
+    def __init__(self, url: ConnectionUrl, calls: WorkerCalls, *, opened: OpenedConnection | None = None) -> None:
+        """Create it, with a connection that is open already, if there is one; it is used if it has the right ids."""
         self.system: System | None = None
         """The vehicle, once it was found."""
         self._url = url
         self._calls = calls
+        self._opened = opened
+        self._cut_s = math.nan
         self._mavsdk: Mavsdk | None = None
         self._instances: list[Mavsdk] = []
         self._connection: Any = None
@@ -59,13 +64,16 @@ class MavsdkSession:
         Raises:
             LinkError: the connection cannot be opened; `reopen` can try again.
         """
+        opened, self._opened = self._opened, None
+        if opened is not None:
+            self._instances.append(opened.mavsdk)
+            if (opened.url, opened.ids) == (self._url, (system_id, component_id)):
+                self._mavsdk, self._connection = opened.mavsdk, opened.handle
+                return
+            await self._calls.run(lambda: close_connection(opened.mavsdk, opened.handle))
 
         def create() -> Mavsdk:
-            configuration = Configuration.create_manual(system_id, component_id, always_send_heartbeats=True)
-            try:
-                mavsdk = Mavsdk(configuration)
-            finally:
-                configuration.destroy()
+            mavsdk = new_mavsdk(system_id, component_id)
             self._instances.append(mavsdk)  # it must be destroyed even if the waiting task is cancelled
             return mavsdk
 
@@ -88,6 +96,21 @@ class MavsdkSession:
             _log.debug("connection failed, retrying", error=str(error))
         else:
             _log.info("connection reopened", url=str(self._url))
+
+    def cut(self) -> None:
+        """Close the connection at once, and with it the heartbeats; for another thread while the loop stands still."""
+        mavsdk, handle, self._connection = self._mavsdk, self._connection, None
+        if mavsdk is not None and handle is not None:
+            self._cut_s = time.monotonic()
+            close_connection(mavsdk, handle)
+
+    async def mend(self) -> None:
+        """Open the connection again after `cut`; may be called at any rate."""
+        if math.isfinite(self._cut_s):
+            silent_s, self._cut_s = time.monotonic() - self._cut_s, math.nan
+            _log.error("the event loop stood still; heartbeats were stopped meanwhile", silent_s=round(silent_s, 1))
+            self.heard()
+            await self.reopen()
 
     def heard(self) -> None:
         """The vehicle was heard: reset the retry interval."""

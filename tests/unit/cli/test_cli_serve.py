@@ -13,7 +13,7 @@ from panoexec.cli.app import run
 
 def test_the_daemon_imports_nothing_that_it_never_needs() -> None:
     heavy = {"rich", "matplotlib", "PIL", "pymavlink", "panoexec.sim", "panoexec.dryrun", "panoexec.stitching"}
-    program = f"import sys, panoexec.cli.serve; print(*sorted(set(sys.modules) & {heavy}))"
+    program = f"import sys, panoexec.cli.serve, panoexec.daemon.daemon; print(*sorted(set(sys.modules) & {heavy}))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
 
@@ -71,6 +71,7 @@ def test_what_cannot_be_used_ends_it_with_one_line(
     (tmp_path / "open").write_text("secret\n")
     (tmp_path / "open").chmod(0o644)
     monkeypatch.setattr("panoexec.cli.serve.configure_logs", lambda *_: None)  # logs are this process's
+    monkeypatch.setattr("panoexec.cli.serve.open_at_once", lambda _: None)
     settings = {
         "vehicle.connection": "udpin://127.0.0.1:1",
         "storage.path": str(tmp_path),

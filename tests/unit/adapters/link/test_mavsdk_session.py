@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from panoexec.adapters.link import mavsdk_session
+from panoexec.adapters.link import first_heartbeats
 from panoexec.adapters.link.connection_url import parse_connection
 from panoexec.adapters.link.mavsdk_session import MavsdkSession
 from panoexec.adapters.link.worker_calls import WorkerCalls
@@ -43,8 +43,8 @@ MADE: list[FakeMavsdk] = []
 
 
 async def test_what_is_made_after_a_cancelled_opening_is_destroyed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mavsdk_session, "Mavsdk", FakeMavsdk)
-    monkeypatch.setattr(mavsdk_session, "Configuration", FakeConfiguration)
+    monkeypatch.setattr(first_heartbeats, "Mavsdk", FakeMavsdk)
+    monkeypatch.setattr(first_heartbeats, "Configuration", FakeConfiguration)
     calls = WorkerCalls("test")
     session = MavsdkSession(parse_connection("udpin://127.0.0.1:1"), calls)
     opening = asyncio.create_task(session.open(1, 191))
