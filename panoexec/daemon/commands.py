@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from functools import partial
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, TypeVar
 
 import structlog
 
@@ -48,6 +48,8 @@ from panoexec.mqtt.transaction_file import FORGOTTEN
 from panoexec.mqtt.transactions import Transactions
 from panoexec.planning.model import Plan
 from panoexec.store.listing import list_missions
+
+T = TypeVar("T")
 
 CAMERA: Final = "camera"
 
@@ -182,7 +184,8 @@ class Commands:
             case PlanRequest():
                 request = with_preset(self._config(), request)
                 spec = spec_of(self._config(), request, camera=self.camera, limits=self._vehicle.turn_limits)
-                data = self._planned(await self._plans.for_sender(spec, incoming.sender), request)
+                plan = await _in_time(self._plans.for_sender(spec, incoming.sender), incoming)
+                data = self._planned(plan, request)
             case ResumeRequest():
                 assert beginning is not None
                 data = await self._resume(incoming, beginning)
@@ -279,3 +282,19 @@ class Commands:
         await self._transactions.remember(CAMERA, None if camera is None else json.dumps(camera))
         self.camera = camera
         return {"camera": camera_to_data(profile.camera)}
+
+
+async def _in_time(work: Coroutine[Any, Any, T], incoming: Incoming) -> T:
+    """The result of the work, which is cancelled when the request expires.
+
+    Raises:
+        RefusedRequestError: it expired.
+    """
+    limit = asyncio.timeout_at(incoming.expires_s)  # the event loop's clock is time.monotonic
+    try:
+        async with limit:
+            return await work
+    except TimeoutError:
+        if limit.expired():
+            raise expired() from None
+        raise

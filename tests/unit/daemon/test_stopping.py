@@ -129,11 +129,12 @@ async def test_a_stop_while_the_mission_is_created_is_kept_for_it(
         missions._free()
 
 
-async def test_a_start_that_expires_while_it_is_planned_does_not_act(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("command", ["start", "plan"])
+async def test_a_request_that_expires_while_it_is_planned_does_not_act(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     async with planning(tmp_path, monkeypatch) as (desk, planner):
-        desk.ask("start", "s", expires_s=asyncio.get_running_loop().time() + 0.2, **SHOTS)
+        desk.ask(command, "s", expires_s=asyncio.get_running_loop().time() + 0.2, **SHOTS)
         assert (await desk.heard(1))[0]["error"]["code"] == "expired"
         assert (len(planner.began), planner.ended) == (1, 1), "and its planning ends"
 
