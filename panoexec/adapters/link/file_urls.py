@@ -86,9 +86,7 @@ class FileUrls:
         if not url.isprintable():
             return "", _ODD
         if mavlink_ftp_path(url):
-            return url.replace("[;", ";", 1).replace(
-                "]/", "/", 1
-            ), ""  # brackets are for IPv6 addresses in all other URLs
+            return _without_brackets(url), ""
         if _SCHEME.match(url) is None or _is_drive(url):
             return url, ""
         try:
