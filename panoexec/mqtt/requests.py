@@ -316,7 +316,7 @@ class DoctorRequest(Request):
     with the error `busy`.
 
     Attributes:
-        photo: take one photo and report what proves it; not while a mission is under way.
+        photo: take three photos and report what proves them; not while a mission is under way.
     """
 
     command: ClassVar[str] = "doctor"
