@@ -82,7 +82,10 @@ def _judge_rights(findings: Findings, report: BrokerReport, *, base: str) -> Non
         text = f"the broker does not tell whether publishing is permitted below {base}: {', '.join(unknown)}"
         findings.note("broker", "answers" if "response" in unknown else "publishing", text)
     for name, may in report.may_write.items():
-        if may is not None:
+        if name == "state/delta" and may is False:
+            text = f"publishing to {base}/{name}: refused; on a slow link whole states take its place"
+            findings.note("broker", name, text, advice=acl)
+        elif may is not None:
             topic = f"{base}/{name}/…" if name == "response" else f"{base}/{name}"
             check = "answers" if name == "response" else name
             findings.judge("broker", check, may, f"publishing to {topic}: {_allowed(may)}", advice=acl)

@@ -20,11 +20,13 @@ from panoexec.errors import LinkError
 from panoexec.inputs.config import MqttSection
 from panoexec.mqtt.certificates import explained
 from panoexec.mqtt.client import BrokerClient, broker_client
+from panoexec.mqtt.state_deltas import StateFollower
 
 Kind: TypeAlias = Literal["status", "state", "plan", "event"]
 
 _STATUS_S: Final = 0.3
 """How long to wait for a retained status; a broker sends it with the acknowledgement of the subscription."""
+_DELTA: Final = "state/delta"
 _KINDS: Final[dict[str, Kind]] = {"status": "status", "state": "state", "plan": "plan", "event": "event"}
 
 
@@ -137,7 +139,7 @@ class GroundStation:
         await self._client.publish(topic, json.dumps(fields).encode(), qos=qos, properties=properties)
 
     async def listen(self, vehicle: str | None) -> AsyncGenerator[Heard, None]:
-        """Receive the messages of vehicles, retained messages first.
+        """Receive the messages of vehicles, retained messages first; deltas of a state arrive as whole states.
 
         Args:
             vehicle: vehicle id; None for all vehicles below the prefix.
@@ -150,16 +152,25 @@ class GroundStation:
         """
         assert self._client is not None
         prefix = self._settings.prefix
+        followers: dict[str, StateFollower] = {}
         try:
-            for name in _KINDS:
+            for name in (*_KINDS, _DELTA):
                 await self._client.subscribe(f"{prefix}/{vehicle or '+'}/{name}", qos=1)
             if vehicle is not None and not self._client.limits.retain:
                 # this broker keeps nothing: ask for what it would have kept; who may not write requests waits
                 await self._publish(f"{prefix}/{vehicle}/request/get", {"transaction": uuid.uuid4().hex})
             async for message in self._client.messages:
-                who, _, name = str(message.topic).removeprefix(f"{prefix}/").rpartition("/")
-                kind = _KINDS.get(name)
-                if kind is not None and isinstance(message.payload, bytes):
+                where = str(message.topic).removeprefix(f"{prefix}/")
+                if not isinstance(message.payload, bytes):
+                    continue
+                who, _, name = where.partition("/")
+                follower = followers.setdefault(who, StateFollower())
+                if name == _DELTA:
+                    if (state := follower.delta(_json(message.payload))) is not None:
+                        yield Heard(vehicle=who, kind="state", document=state)
+                elif name == "state":
+                    yield Heard(vehicle=who, kind="state", document=follower.whole(_json(message.payload)))
+                elif (kind := _KINDS.get(name)) is not None:
                     text = message.payload.decode(errors="replace")
                     yield Heard(vehicle=who, kind=kind, document=text if kind == "status" else _json(message.payload))
         except aiomqtt.MqttError as error:

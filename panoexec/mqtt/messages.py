@@ -106,6 +106,20 @@ class State(Payload):
     time: str
 
 
+class StateDelta(Payload):
+    """The difference of a state from an earlier one, sent on slow links in place of most whole states.
+
+    Attributes:
+        boot_id: as in both states.
+        base: `seq` of the whole state that it builds on.
+        patch: JSON merge patch (RFC 7386); a member that it removes is null in the state, and missing in `content`.
+    """
+
+    boot_id: str
+    base: int
+    patch: dict[str, Any]
+
+
 def dump(model: BaseModel) -> bytes:
     """A payload as ASCII JSON bytes, so that any received text can be echoed."""
     return dump_json(model.model_dump(mode="python"))

@@ -18,6 +18,9 @@ from typing import Final
 OVERDUE_S: Final = 10.0
 """A retained topic that has waited so long goes before events, of which there may be more than the link can carry."""
 
+SLOW_OVERDUE_S: Final = 2.0
+"""On a slow link, where states are small or important, one goes before events after so long: they may be far behind."""
+
 _HEAD: Final = 100
 """Upper bound of the bytes of a packet without topic, payload and correlation data."""
 
@@ -33,6 +36,8 @@ class Outgoing:
         answer: whether it answers a request.
         urgent: whether it is an answer that goes before all others.
         correlation: correlation data of the answered request (MQTT 5).
+        stands_for: the message of a retained topic that this one is another form of, for a slow link; None if it is
+            as it was published.
     """
 
     topic: str
@@ -41,6 +46,7 @@ class Outgoing:
     answer: bool = False
     urgent: bool = False
     correlation: bytes | None = None
+    stands_for: Outgoing | None = None
 
     @property
     def size(self) -> int:
@@ -73,6 +79,10 @@ class _Bounded:
                 del self.messages[place]
                 self._bytes -= len(message.payload)
                 return
+
+
+def _overdue_s(message: Outgoing) -> float:
+    return OVERDUE_S if message.stands_for is None else SLOW_OVERDUE_S
 
 
 class Outbox:
@@ -132,6 +142,10 @@ class Outbox:
         """Whether the broker has acknowledged this very message of a retained topic on this connection."""
         return self._held.get(message.topic) == message.payload and message.topic not in self._stale
 
+    def held(self, topic: str) -> bytes | None:
+        """The payload of a retained topic that the broker has acknowledged last on this connection."""
+        return self._held.get(topic)
+
     def renew(self) -> None:
         """Send all retained messages again after a new connection, because the broker may have lost them."""
         self._stale = dict.fromkeys(self._retained, self._clock())
@@ -144,7 +158,7 @@ class Outbox:
         most: int,
         most_bytes: float = math.inf,
         *,
-        may_go: Callable[[Outgoing, float], bool] = lambda _message, _waited_s: True,
+        form: Callable[[Outgoing, float], Outgoing | None] = lambda message, _waited_s: message,
     ) -> list[Outgoing]:
         """The next messages, each of which is returned again until it is `done`.
 
@@ -153,46 +167,50 @@ class Outbox:
         Args:
             most: maximum number.
             most_bytes: maximum size of all together; one message may be larger.
-            may_go: whether a message of a retained topic may be sent now, from the message and how long it has waited.
+            form: as what a message of a retained topic may be sent now, from the message and how long it has waited;
+                None if it has to wait.
         """
         out: list[Outgoing] = []
         size = 0
-        for message in self._in_order(may_go):
+        for message in self._in_order(form):
             size += message.size
             if len(out) >= most or (out and size > most_bytes):
                 break
             out.append(message)
         return out
 
-    def _in_order(self, may_go: Callable[[Outgoing, float], bool]) -> Iterator[Outgoing]:
+    def _in_order(self, form: Callable[[Outgoing, float], Outgoing | None]) -> Iterator[Outgoing]:
         yield from self._urgent.messages
         yield from self._answers.messages
         now = self._clock()
-        waiting = [(self._retained[topic], now - since) for topic, since in self._stale.items()]
-        ready = [(message, waited) for message, waited in waiting if may_go(message, waited)]
-        yield from (message for message, waited in ready if waited >= OVERDUE_S)
+        waiting = [(form(self._retained[topic], now - since), now - since) for topic, since in self._stale.items()]
+        ready = [(message, waited) for message, waited in waiting if message is not None]
+        overdue = {id(message) for message, waited in ready if waited >= _overdue_s(message)}
+        yield from (message for message, _ in ready if id(message) in overdue)
         yield from self._events.messages
-        yield from (message for message, waited in ready if waited < OVERDUE_S)
+        yield from (message for message, _ in ready if id(message) not in overdue)
 
     def give_up(self, message: Outgoing) -> None:
         """Drop a message that the broker rejects."""
-        if message.retain:
-            if self._retained.get(message.topic) is message:
-                del self._retained[message.topic]
-                self._stale.pop(message.topic, None)
-        else:
+        latest = message.stands_for or message
+        if not latest.retain:
             self._remove(message)
+        elif message.retain and self._retained.get(latest.topic) is latest:
+            del self._retained[latest.topic]
+            self._stale.pop(latest.topic, None)
         self.dropped += 1
         self._clear_if_empty()
 
     def done(self, message: Outgoing) -> None:
         """Remove a message that the broker has acknowledged."""
+        latest = message.stands_for or message
         if message.retain:
             self._held[message.topic] = message.payload
-            if self._retained.get(message.topic) is message:
-                self._stale.pop(message.topic, None)
-            elif message.topic in self._stale:
-                self._stale[message.topic] = self._clock()
+        if latest.retain:
+            if self._retained.get(latest.topic) is latest:
+                self._stale.pop(latest.topic, None)
+            elif latest.topic in self._stale:
+                self._stale[latest.topic] = self._clock()
         else:
             self._remove(message)
         self._clear_if_empty()

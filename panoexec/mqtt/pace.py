@@ -25,6 +25,16 @@ LONGEST_WAIT_S: Final = 300.0
 SHARE: Final = 3.0
 """Messages of retained topics take at most one part in so many of the time."""
 
+DELTA_SHARE: Final = 10.0
+"""Deltas of the state take at most one part in so many: they are as fresh as whole states would be."""
+
+SLOW_RATE: Final = 4000.0
+"""A link with less bytes per second is slow enough for deltas, if it stays so."""
+
+_SEEN: Final = 8
+_TAKES_S: Final = 0.1
+"""What is acknowledged faster says nothing about the rate, which may be the computer's."""
+
 _SAMPLES: Final = 4
 _LEAST_S: Final = 0.5
 """A link that has taken less time than this for the last batches is not slow."""
@@ -40,6 +50,7 @@ class Pace:
 
     Attributes:
         rate: bytes per second; infinity for a link that is not slow.
+        lastingly_slow: whether it has been slow for several batches, so that states are better sent as deltas.
     """
 
     def __init__(self, round_trip_s: float = 0.0) -> None:
@@ -49,9 +60,12 @@ class Pace:
             round_trip_s: time until a small message was acknowledged: the latency of the link.
         """
         self.rate = math.inf
+        self.lastingly_slow = False
+        self._seen: deque[bool] = deque(maxlen=_SEEN)
         self._round_trip_s = round_trip_s
         self._samples: deque[tuple[int, float]] = deque(maxlen=_SAMPLES)
         self._next_latest_s = 0.0
+        self._next_delta_s = 0.0
 
     @property
     def window(self) -> float:
@@ -68,7 +82,7 @@ class Pace:
         """How long to wait for the acknowledgement of so many bytes."""
         return _PATIENCE_S + size / _SLOWEST
 
-    def acknowledged(self, size: int, took_s: float, *, now_s: float, latest: int) -> None:
+    def acknowledged(self, size: int, took_s: float, *, now_s: float, latest: int, deltas: int = 0) -> None:
         """Learn from a batch.
 
         Args:
@@ -76,15 +90,27 @@ class Pace:
             took_s: time from sending it to its last acknowledgement.
             now_s: monotonic time.
             latest: how many of the bytes belong to retained topics.
+            deltas: how many to deltas of the state.
         """
         self._round_trip_s = min(self._round_trip_s, took_s)
         self._samples.append((size, took_s - self._round_trip_s))
         busy_s = sum(took for _, took in self._samples)
         self.rate = math.inf if busy_s < _LEAST_S else sum(size for size, _ in self._samples) / busy_s
+        self._note_slow(size, took_s - self._round_trip_s)
         if latest:
             self._next_latest_s = now_s + (SHARE - 1.0) * self.takes_s(latest)
+        if deltas:
+            self._next_delta_s = now_s + (DELTA_SHARE - 1.0) * self.takes_s(deltas)
 
-    def may_go(self, size: int, *, waited_s: float, now_s: float, answered_s: float) -> bool:
+    def _note_slow(self, size: int, busy_s: float) -> None:
+        self._seen.append(busy_s > _TAKES_S and size / busy_s < SLOW_RATE)
+        slow = sum(self._seen)
+        if slow >= 3 * _SEEN // 4:
+            self.lastingly_slow = True
+        elif slow <= _SEEN // 4:
+            self.lastingly_slow = False
+
+    def may_go(self, size: int, *, waited_s: float, now_s: float, answered_s: float, delta: bool = False) -> bool:
         """Whether a message of a retained topic may be sent.
 
         Args:
@@ -92,7 +118,8 @@ class Pace:
             waited_s: since when it waits.
             now_s: monotonic time.
             answered_s: monotonic time of the last answer.
+            delta: whether it is a delta in place of the state, for which a plan makes no difference.
         """
         if self.takes_s(size) > LARGE_S:
             return now_s - answered_s >= QUIET_S or waited_s >= LONGEST_WAIT_S
-        return now_s >= self._next_latest_s
+        return now_s >= (self._next_delta_s if delta else self._next_latest_s)

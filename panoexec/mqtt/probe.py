@@ -128,8 +128,8 @@ async def _tested(
         raise _EndedAtRetainedError(str(with_reason(client, error))) from error
     may_write: dict[str, bool | None] = {"response": code < REFUSED if five and terms.qos else None}
     asks = five and client.limits.max_qos == _EXACTLY_ONCE
-    for name in ("status", "state", "plan", "event"):
-        may_write[name] = await client.may_publish(getattr(topics, name)) if asks else None
+    for name in ("status", "state", "state/delta", "plan", "event"):
+        may_write[name] = await client.may_publish(f"{topics.base}/{name}") if asks else None
     return BrokerReport(
         connect_s=connect_s,
         round_trip_s=round_trip_s,

@@ -20,6 +20,7 @@ from panoexec.mqtt.client import REFUSED, BrokerClient
 from panoexec.mqtt.dialer import BEST, TAKEN_OVER, Terms
 from panoexec.mqtt.outbox import Outbox, Outgoing
 from panoexec.mqtt.pace import Pace
+from panoexec.mqtt.state_forms import StateForms
 from panoexec.mqtt.suspicion import Suspicion
 from panoexec.mqtt.topics import Topics
 
@@ -64,6 +65,7 @@ class Sender:
         self._five = five
         self._keepalive_s = keepalive_s
         self._suspicion = Suspicion()
+        self._forms = StateForms(topics)
         self._under_way: list[Outgoing] = []
         self._hurry = asyncio.Event()
         """Set when there is an urgent message."""
@@ -90,6 +92,7 @@ class Sender:
     def connected(self, terms: Terms, *, round_trip_s: float) -> None:
         """Begin with a connection: everything retained is sent again."""
         self.terms, self.pace = terms, Pace(round_trip_s)
+        self._forms.connected(may=self._five and terms.retain and terms.qos > 0)
         self._announced_s = time.monotonic()
         self.outbox.renew()
 
@@ -151,7 +154,7 @@ class Sender:
         """The next messages that the broker accepts; those above its maximum packet size are dropped."""
         while True:
             most = 1 if self._suspicion.wary else min(BATCH, client.limits.most_unacknowledged)
-            batch = self.outbox.take(most, self.pace.window, may_go=self._may_go)
+            batch = self.outbox.take(most, self.pace.window, form=self._form)
             reasons = [(message, self._never(client, message)) for message in batch]
             if not any(why for _, why in reasons):
                 return batch
@@ -159,8 +162,15 @@ class Sender:
                 if why:
                     self._give_up(message, why)
 
-    def _may_go(self, message: Outgoing, waited_s: float) -> bool:
-        return self.pace.may_go(message.size, waited_s=waited_s, now_s=time.monotonic(), answered_s=self._answered_s)
+    def _form(self, message: Outgoing, waited_s: float) -> Outgoing | None:
+        """As what a message of a retained topic may be sent now; None if it has to wait."""
+        now, held = time.monotonic(), self.outbox.held(message.topic)
+        for form in self._forms.of(message, held=held, slow=self.pace.lastingly_slow):
+            if self.pace.may_go(
+                form.size, waited_s=waited_s, now_s=now, answered_s=self._answered_s, delta=not form.retain
+            ):
+                return form
+        return None
 
     def _never(self, client: BrokerClient, message: Outgoing) -> str:
         """Why a message cannot be sent over this connection; "" if it can."""
@@ -192,11 +202,16 @@ class Sender:
             if isinstance(result, BaseException):
                 raise result
             self._judge(message, result)
-            self.outbox.done(message)
+            if result >= REFUSED and message.topic == self._topics.state_delta:
+                self._forms.refuse()  # the state is still to be sent
+            else:
+                self._forms.sent(message)
+                self.outbox.done(message)
             self._under_way.remove(message)
         now = time.monotonic()
         latest = sum(message.size for message in batch if message.retain)
-        self.pace.acknowledged(size, now - self._sent_s, now_s=now, latest=latest)
+        deltas = sum(message.size for message in batch if message.topic == self._topics.state_delta)
+        self.pace.acknowledged(size, now - self._sent_s, now_s=now, latest=latest, deltas=deltas)
         self._suspicion.acknowledged(batch, left=len(self.outbox))
 
     async def _results(self, sends: Sequence[asyncio.Future[int]]) -> list[int | BaseException] | None:
@@ -256,6 +271,8 @@ class Sender:
             _log.error(
                 "message dropped: it cannot be sent", topic=message.topic[:200], size=len(message.payload), error=why
             )
+        if message.topic == self._topics.state_delta:
+            self._forms.refuse()
         self.outbox.give_up(message)
         if message.topic == self._topics.plan and message.payload:
             # the plan of an earlier mission must not stand for this one

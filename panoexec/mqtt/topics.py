@@ -22,6 +22,7 @@ class Topics:
         self.base = f"{prefix}/{vehicle}"
         self.status = f"{self.base}/status"
         self.state = f"{self.base}/state"
+        self.state_delta = f"{self.state}/delta"
         self.plan = f"{self.base}/plan"
         self.event = f"{self.base}/event"
         self.requests = f"{self.base}/request/#"

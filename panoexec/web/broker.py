@@ -7,7 +7,7 @@ import json
 import random
 import uuid
 from contextlib import AsyncExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any, Final, Protocol, TypeAlias
 
@@ -20,6 +20,7 @@ from panoexec.errors import LinkError, PanoexecError
 from panoexec.inputs.config import MqttSection
 from panoexec.mqtt.certificates import explained
 from panoexec.mqtt.client import REFUSED, BrokerClient, broker_client
+from panoexec.mqtt.state_deltas import StateFollower
 from panoexec.web.protocol import is_mission, is_vehicle
 
 RETRY_S: Final = 1.0
@@ -28,11 +29,12 @@ RETRY_S: Final = 1.0
 _SESSION_S: Final = 600
 """How long the broker keeps events for this process while the link is lost (MQTT 5)."""
 
-_KINDS: Final = {"status": 0, "state": 0, "plan": 1, "event": 1}
+_DELTA: Final = "state/delta"
+_KINDS: Final = {"status": 0, "state": 0, _DELTA: 0, "plan": 1, "event": 1}
 """Topics of a vehicle and their QoS: states are outdated when the link is back, events are not."""
 
 MAX_THUMBNAIL: Final = 64 * 1024
-_LARGEST: Final = {"plan": 4 << 20, "state": 1 << 18}
+_LARGEST: Final = {"plan": 4 << 20, "state": 1 << 18, _DELTA: 1 << 18}
 _LARGEST_OTHER: Final = 1 << 20
 """Bytes of a message; what is larger is none of panoexec's."""
 
@@ -104,6 +106,7 @@ class BrokerLink:
         self._identifier = f"panoexec-web-{uuid.uuid4().hex[:12]}"
         self._client: BrokerClient | None = None
         self._known: set[str] = set()
+        self._followers: dict[str, StateFollower] = {}
         self._connected_before = False
 
     async def run(self) -> None:
@@ -174,7 +177,19 @@ class BrokerLink:
         heard = parsed(topic.removeprefix(f"{self.prefix}/"), payload)
         if heard is not None:
             self._known.add(heard.vehicle)
+            if isinstance(heard, Document) and (heard := self._followed(heard)) is None:
+                return
             self._listener.hear(heard)
+
+    def _followed(self, heard: Document) -> Document | None:
+        """A delta of a state as the whole state; None if it tells nothing new. Other documents as they are."""
+        follower = self._followers.setdefault(heard.vehicle, StateFollower())
+        if heard.kind == "state":
+            return replace(heard, document=follower.whole(heard.document))
+        if heard.kind != _DELTA:
+            return heard
+        state = follower.delta(heard.document)
+        return None if state is None else replace(heard, kind="state", document=state)
 
     async def request(
         self, vehicle: str, command: str, fields: dict[str, Any], *, expiry_s: int, response_topic: str = ""

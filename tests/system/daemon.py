@@ -13,6 +13,7 @@ from typing import Any
 
 import aiomqtt
 
+from panoexec.mqtt.state_deltas import StateFollower
 from tests.schemas import DOCUMENT, misfits
 from tests.waiting import eventually
 from tests.wire.broker import Broker
@@ -33,6 +34,7 @@ class Ground:
         self.events: list[dict[str, Any]] = []
         self.answers: dict[Any, dict[str, Any]] = {}
         self.state: dict[str, Any] = {}
+        self.follower = StateFollower()
         self.states: list[str] = []
         self.status = ""
         self.plan: dict[str, Any] | None = None
@@ -61,8 +63,10 @@ class Ground:
         if topic == "status":
             self.status = payload.decode()
         elif topic == "state":
-            self.state = json.loads(payload)
+            self.state = self.follower.whole(json.loads(payload))
             self.states.append(self.state["state"])
+        elif topic == "state/delta":
+            self.state = self.follower.delta(json.loads(payload)) or self.state
         elif topic == "plan":
             self.plan = json.loads(payload) if payload else None
         elif topic == "event":
@@ -133,19 +137,23 @@ async def serving(
     notify: Path | None = None,
     speedup: float = SPEEDUP,
     own_session: bool = False,
+    without: str = "",
 ) -> AsyncIterator[asyncio.subprocess.Process]:
     """The daemon while the block runs; killed at its end if it still runs.
 
-    With a session of its own, the kernel schedules it as a group of its own, as it does a service.
+    With a session of its own, the kernel schedules it as a group of its own, as it does a service. `without` is Python
+    code that takes something away from the daemon before it begins.
     """
     config = write_config(folder, broker, port, more=more, mqtt=mqtt)
     environment = {name: value for name, value in os.environ.items() if name != "NOTIFY_SOCKET"}
     if notify is not None:
         environment["NOTIFY_SOCKET"] = str(notify)
         environment["WATCHDOG_USEC"] = "1500000"
+    main = "import sys\nfrom panoexec.__main__ import main\nsys.exit(main())"
+    program = ("-c", f"{without}\n{main}") if without else ("-m", "panoexec")
     with (folder / "serve.log").open("ab") as log:
         process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "panoexec", "serve", "--config", str(config), "--speedup", str(speedup)),
+            *(sys.executable, *program, "serve", "--config", str(config), "--speedup", str(speedup)),
             stdout=log,
             stderr=log,
             env=environment,

@@ -18,7 +18,7 @@ from panoexec.inputs import plan_file
 from panoexec.inputs.config import Config
 from panoexec.mission.log.events import Event
 from panoexec.mission.log.states import MissionState
-from panoexec.mqtt.messages import ErrorFields, LinksFields, Response, State
+from panoexec.mqtt.messages import ErrorFields, LinksFields, Response, State, StateDelta
 from panoexec.mqtt.requests import MAX_PAYLOAD, REQUESTS, ErrorCode, PlanRequest, ToleranceFields
 from panoexec.mqtt.topics import Topics
 from panoexec.store import manifest
@@ -119,11 +119,12 @@ def test_topics_and_payloads() -> None:
     told = rows("MQTT")
     topics = Topics("panoexec", "<vehicle>")
     thumbnail = topics.thumbnail("<mission_id>", "<shot>")
-    ours = (topics.status, topics.state, topics.plan, topics.event, thumbnail)
+    ours = (topics.status, topics.state, topics.state_delta, topics.plan, topics.event, thumbnail)
     answered = (topics.request("<command>"), topics.response("<command>"))
     assert set(told) == {topic.removeprefix("panoexec/<vehicle>/") for topic in (*ours, *answered)}
     within = {"ok", "age_s"}
     assert set(code(told["state"])) - within == set(State.model_fields)
+    assert set(code(told["state/delta"])) - {"seq"} == set(StateDelta.model_fields)
     assert {*LinksFields.model_fields} <= set(re.findall(r"\w+", told["state"]))
     assert set(code(told["event"])) == {"type", "id", "time", *(field.name for field in dataclasses.fields(Event))}
     assert set(code(told["response/<command>"])) - {"ok"} == {*Response.model_fields, *ErrorFields.model_fields}

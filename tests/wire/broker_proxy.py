@@ -112,7 +112,7 @@ async def _down(proxy: BrokerProxy, from_broker: asyncio.StreamReader, writer: a
     while True:
         first, _, content = await _packet(None, from_broker)
         content = proxy.edit(first, content)
-        packet = bytes([first]) + _varint(len(content)) + content
+        packet = bytes([first]) + varint(len(content)) + content
         writer.write(packet)
         await writer.drain()
         if proxy.rate:
@@ -143,7 +143,7 @@ async def _packet(slow: BrokerProxy | None, reader: asyncio.StreamReader) -> tup
     return first, length, content
 
 
-def _varint(value: int) -> bytes:
+def varint(value: int) -> bytes:
     out = b""
     while True:
         value, digit = value >> 7, value & 0x7F
@@ -160,7 +160,7 @@ def announcing(*properties: bytes) -> Callable[[int, bytes], bytes]:
             return content
         flags_and_reason, known = content[:2], content[3:]  # fewer than 128 bytes of properties
         added = known + b"".join(properties)
-        return flags_and_reason + _varint(len(added)) + added
+        return flags_and_reason + varint(len(added)) + added
 
     return edit
 

@@ -15,7 +15,7 @@ from pydantic import BaseModel
 from panoexec import __version__
 from panoexec.files import write_atomically
 from panoexec.mission.log.events import EVENT_TYPES, Event
-from panoexec.mqtt.messages import Response, State
+from panoexec.mqtt.messages import Response, State, StateDelta
 from panoexec.mqtt.requests import MAX_PAYLOAD, REQUESTS
 from panoexec.mqtt.spec.schemas import answer_schemas, part_schemas, plan_schema, schema_of
 
@@ -27,7 +27,7 @@ def document() -> dict[str, Any]:
     """The complete document."""
     schemas: dict[str, Any] = {}
     requests = {command: _model(model, schemas) for command, model in REQUESTS.items()}
-    for model in (Response, State):
+    for model in (Response, State, StateDelta):
         _model(model, schemas)
     events = {name: _event(cls) for name, cls in sorted(EVENT_TYPES.items())}
     schemas |= {_camel(name): schema for name, schema in events.items()}
@@ -64,6 +64,7 @@ def _channels(requests: dict[str, str]) -> dict[str, Any]:
     channels: dict[str, Any] = {}
     for name, what in (("status", "Status"), ("state", "State"), ("plan", "Plan"), ("event", "Event")):
         channels[name] = _channel(name, {what: {"$ref": _MESSAGES + what}})
+    channels["state_delta"] = _channel("state/delta", {"StateDelta": {"$ref": _MESSAGES + "StateDelta"}})
     channels["thumbnail"] = _channel("thumbnail/{mission_id}/{shot}", {"Thumbnail": {"$ref": _MESSAGES + "Thumbnail"}})
     channels["thumbnail"]["parameters"] |= {
         "mission_id": {"description": "id of the mission"},
@@ -90,8 +91,8 @@ def _channel(topic: str, messages: dict[str, Any]) -> dict[str, Any]:
 
 def _operations() -> dict[str, Any]:
     operations: dict[str, Any] = {}
-    for name in ("status", "state", "plan", "event"):
-        retained = name != "event"
+    for name in ("status", "state", "state_delta", "plan", "event"):
+        retained = name not in ("event", "state_delta")
         operations[f"publish_{name}"] = {
             "action": "send",
             "channel": {"$ref": f"#/channels/{name}"},
@@ -115,7 +116,7 @@ def _operations() -> dict[str, Any]:
 
 def _messages(requests: dict[str, str]) -> dict[str, Any]:
     messages: dict[str, Any] = {}
-    for name in ("Status", "State", "Plan", "Event", *map(_answer, requests)):
+    for name in ("Status", "State", "StateDelta", "Plan", "Event", *map(_answer, requests)):
         messages[name] = {"name": name, "payload": {"$ref": _SCHEMAS + name}}
     messages["Status"]["contentType"] = "text/plain"
     messages["Thumbnail"] = {

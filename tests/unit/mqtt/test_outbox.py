@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from panoexec.mqtt.outbox import OVERDUE_S, Outbox, Outgoing
+from panoexec.mqtt.outbox import OVERDUE_S, SLOW_OVERDUE_S, Outbox, Outgoing
 from panoexec.mqtt.suspicion import Suspicion
 
 
@@ -114,6 +116,26 @@ def test_answers_go_before_events_and_events_before_the_state_unless_it_is_overd
     box.done(newer)
     box.put(state)
     assert box.take(9) == [answer, event, state]
+
+
+def test_a_delta_in_place_of_a_state_does_not_wait_long_behind_events() -> None:
+    now = [0.0]
+    box = Outbox(clock=lambda: now[0])
+    event, state = message("event"), message("state", retain=True)
+    delta = replace(message("state/delta", b"d"), stands_for=state)
+    box.put(event)
+    box.put(state)
+    assert box.take(9, form=lambda *_: delta) == [event, delta]
+    now[0] = SLOW_OVERDUE_S
+    assert box.take(9, form=lambda *_: delta) == [delta, event]
+    assert box.take(9, form=lambda *_: None) == [event]
+    box.done(delta)
+    assert (box.take(9), box.held("state")) == ([event], None), "the state is sent, but the broker has no whole one"
+    newer = message("state", b"newer", retain=True)
+    box.put(state)
+    box.put(newer)
+    box.done(delta)
+    assert box.take(9) == [event, newer]
 
 
 def test_no_more_bytes_are_taken_than_the_link_bears_at_once_but_one_message() -> None:

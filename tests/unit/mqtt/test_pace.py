@@ -67,3 +67,35 @@ def test_a_large_plan_waits_for_a_quiet_moment_but_not_for_ever() -> None:
 
 def test_a_large_message_is_given_the_time_that_it_takes() -> None:
     assert paced(1000.0, 0.0).timeout_s(40_000) > 60
+
+
+@pytest.mark.parametrize(("rate", "slow"), [(300.0, True), (1000.0, True), (3000.0, True), (20_000.0, False)])
+def test_a_link_that_stays_slow_is_known_as_such(rate: float, slow: bool) -> None:
+    pace = paced(rate, 0.2, batches=5)
+    assert not pace.lastingly_slow, "not yet"
+    pace.acknowledged(STATE, 0.2 + STATE / rate, now_s=9.0, latest=0)
+    assert pace.lastingly_slow is slow
+    pace.acknowledged(STATE, 0.2, now_s=9.0, latest=0)
+    assert pace.lastingly_slow is slow, "whether it is said once"
+    for _ in range(6):
+        pace.acknowledged(STATE, 0.2, now_s=9.0, latest=0)
+    assert not pace.lastingly_slow
+
+
+def test_a_computer_that_is_slow_now_and_then_is_no_slow_link() -> None:
+    pace = Pace(0.001)
+    for number in range(40):
+        pace.acknowledged(STATE, 0.8 if number % 2 else 0.05, now_s=float(number), latest=0)
+        assert not pace.lastingly_slow
+
+
+def test_deltas_leave_nine_tenths_of_a_slow_link_to_others() -> None:
+    pace = Pace(0.08)
+    pace.acknowledged(200, 0.68, now_s=100.0, latest=0, deltas=200)
+    assert pace.rate < 400
+    assert not pace.may_go(200, waited_s=0.0, now_s=105.3, answered_s=-math.inf, delta=True)
+    assert pace.may_go(200, waited_s=0.0, now_s=105.5, answered_s=-math.inf, delta=True)
+    assert pace.may_go(600, waited_s=0.0, now_s=100.0, answered_s=-math.inf)
+    pace.acknowledged(4000, 9.0, now_s=110.0, latest=4000)
+    assert pace.may_go(200, waited_s=0.0, now_s=110.0, answered_s=-math.inf, delta=True), "a plan holds none back"
+    assert not pace.may_go(600, waited_s=0.0, now_s=110.0, answered_s=-math.inf)

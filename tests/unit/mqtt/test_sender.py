@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
+from panoexec.mqtt.client import REFUSED
+from panoexec.mqtt.dialer import BEST
+from panoexec.mqtt.messages import dump
 from panoexec.mqtt.outbox import Outgoing
 from panoexec.mqtt.sender import BATCH, Sender
 from panoexec.mqtt.topics import Topics
+from tests.unit.mqtt.test_state_deltas import plain
 from tests.waiting import eventually
 
 
@@ -52,3 +57,35 @@ async def test_an_urgent_answer_does_not_wait_for_acknowledgements(most: int, at
     assert len(sender.outbox) == 0
     assert client.heard.index(b"stopped") == BATCH
     assert len(client.heard) == len(set(client.heard)) == BATCH + 3, "each once"
+
+
+class Refusing:
+    """A broker whose ACL knows nothing of deltas."""
+
+    limits = SimpleNamespace(most_unacknowledged=1000, largest_packet=None)
+
+    def __init__(self, *, refuses: bool) -> None:
+        self.refuses = refuses
+        self.heard: list[tuple[str, int]] = []
+
+    async def send(self, topic: str, payload: bytes, **_: Any) -> int:
+        document = json.loads(payload)
+        self.heard.append((topic, document.get("patch", document)["attempts"]))
+        return REFUSED + 7 if self.refuses and topic.endswith("delta") else 0
+
+
+@pytest.mark.parametrize("refuses", [True, False])
+async def test_a_state_whose_delta_is_refused_goes_as_a_whole(refuses: bool) -> None:
+    sender, client = Sender(Topics("p", "v"), five=True, keepalive_s=30.0), Refusing(refuses=refuses)
+    sender.connected(BEST, round_trip_s=0.0)
+    for attempts in range(1, 5):
+        sender.put(Outgoing(topic="p/v/state", payload=dump(plain(attempts=attempts)), retain=True))
+        while len(sender.outbox):
+            sender.pace.lastingly_slow = True
+            await sender._send_batch(cast("Any", client), sender.next_batch(cast("Any", client)))
+    whole, delta = "p/v/state", "p/v/state/delta"
+    if refuses:
+        assert client.heard == [(whole, 1), (delta, 2), (whole, 2), (whole, 3), (whole, 4)]
+    else:
+        assert client.heard == [(whole, 1), (delta, 2), (delta, 3), (delta, 4)]
+    assert len(sender.outbox) == 0
