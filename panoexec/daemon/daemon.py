@@ -29,6 +29,7 @@ from panoexec.daemon.thumbnails import Thumbnails
 from panoexec.daemon.vehicle_link import VehicleLink
 from panoexec.daemon.watchdog import Watchdog
 from panoexec.inputs.config import Config
+from panoexec.mqtt.discovery import discovery_messages
 from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.link import MqttLink
 from panoexec.mqtt.requests import RefusedRequestError, Request
@@ -93,7 +94,7 @@ class Daemon:
                 config.mqtt,
                 vehicle=config.vehicle.id,
                 on_request=self._take,
-                on_connected=self._changed.set,
+                on_connected=self._connected,
                 boot_id=self._boot_id,
             )
         self.vehicle = vehicle or VehicleLink(config, clock=clock, changed=self._changed.set, opened=opened)
@@ -217,6 +218,14 @@ class Daemon:
             await asyncio.wait({self._mqtt_task}, timeout=_FLUSH_S)
 
     # --- callbacks between components
+
+    def _connected(self) -> None:
+        config = self._config()
+        if self.mqtt is not None and config.mqtt.discovery:
+            # at each connection: a broker that was restarted may have forgotten it
+            for topic, payload in discovery_messages(self.mqtt.topics, config.vehicle.id):
+                self.mqtt.publish(topic, payload, retain=True)
+        self._changed.set()
 
     def _take(self, incoming: Incoming) -> None:
         if self._commands is not None and not self._stopping.is_set():

@@ -62,7 +62,8 @@ class LiveConfig:
             _log.error("configuration invalid; the previous one stays in force", error=str(error))
         else:
             keep = {name: getattr(self._config, name) for name in type(new).model_fields if name not in _RELOADABLE}
-            fixed = [name for name in keep if getattr(new, name) != keep[name]]
+            # [web] is another process's
+            fixed = [name for name in keep if name != "web" and getattr(new, name) != keep[name]]
             self._config = new.model_copy(update=keep)
             configure_logs(self._config.log.level, self._config.log.format)
             _log.info("configuration reloaded", needs_restart=fixed)

@@ -274,6 +274,7 @@ class MqttSection(Section):
     prefix: str = "panoexec"
     protocol: Literal["5", "3.1.1"] = "5"
     keepalive_s: Annotated[int, Field(ge=5, le=3600)] = 20
+    discovery: bool = False
     username: str | None = None
     password_file: Path | None = None
     ca_file: Path | None = None

@@ -10,12 +10,15 @@ import socket
 import sys
 from pathlib import Path
 
+import aiomqtt
 import pytest
 
+from panoexec.mqtt.discovery import discovery_messages
+from panoexec.mqtt.topics import Topics
 from panoexec.sim.config import SimConfig
 from panoexec.sim.process import free_udp_port, running_simulator
 from tests.system.daemon import SMALL, SPEEDUP, ground_station, ready, serving
-from tests.wire.broker import needs_mosquitto, running_broker
+from tests.wire.broker import Broker, needs_mosquitto, running_broker
 
 pytestmark = needs_mosquitto
 
@@ -98,6 +101,18 @@ async def test_killed_in_a_mission_it_goes_on_and_a_pause_is_obeyed(tmp_path: Pa
                 assert await process.wait() == 0
 
 
+async def retained(broker: Broker, topics: str, count: int) -> dict[str, bytes]:
+    found: dict[str, bytes] = {}
+    async with aiomqtt.Client("127.0.0.1", broker.port) as client, asyncio.timeout(20):
+        await client.subscribe(topics, qos=1)
+        async for message in client.messages:
+            assert isinstance(message.payload, bytes)
+            found[str(message.topic)] = message.payload
+            if len(found) == count:
+                break
+    return found
+
+
 async def test_answers_strangers_without_a_vehicle_and_tells_the_service_manager(tmp_path: Path) -> None:
     notices = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     notices.bind(str(tmp_path / "notify"))
@@ -105,7 +120,9 @@ async def test_answers_strangers_without_a_vehicle_and_tells_the_service_manager
     with notices, running_broker(tmp_path) as broker:
         async with (
             ground_station(broker) as ground,
-            serving(tmp_path, broker, free_udp_port(), notify=tmp_path / "notify") as process,
+            serving(
+                tmp_path, broker, free_udp_port(), notify=tmp_path / "notify", mqtt="discovery = true\n"
+            ) as process,
         ):
             heard: list[str] = []
 
@@ -119,6 +136,9 @@ async def test_answers_strangers_without_a_vehicle_and_tells_the_service_manager
             await ground.until(lambda: told("READY=1"))
             await ground.until(lambda: told("WATCHDOG=1"))
             await ground.until(lambda: ground.status == "online")
+            assert await retained(broker, "homeassistant/#", 4) == dict(
+                discovery_messages(Topics("panoexec", "drone"), "drone")
+            )
             assert (await ground.ask("get", "g"))["data"]["state"] == "idle"
             answer = await ground.ask("start", "s", **SMALL)
             assert answer["error"]["code"] == "not_ready"
