@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -55,6 +56,19 @@ def read_settings(path: Path) -> PhotoExif | None:
         width_px=header.width_px,
         height_px=header.height_px,
     )
+
+
+def read_taken(path: Path) -> tuple[float, float]:
+    """When a photo was taken, by the camera's clock taken as UTC, and the resolution of that, seconds; NaN if unknown.
+
+    Args:
+        path: the file, a JPEG or a RAW file.
+    """
+    try:
+        told = read_exif(path)
+    except OSError:
+        return math.nan, math.nan
+    return (math.nan, math.nan) if math.isnan(told.taken_s) else (told.taken_s, told.resolution_s)
 
 
 def _positive(value: float) -> float | None:

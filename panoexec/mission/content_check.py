@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sized
 from collections.abc import Set as AbstractSet
 from contextlib import AbstractAsyncContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol
 from urllib.parse import unquote, urlsplit
@@ -254,11 +254,20 @@ class ContentCheck:
             if judged.verdict in BAD:
                 bad.append((shot, number, judged))
         if not self._may_retake(bad, len(verdicts.photos)):
-            return False
+            bad = [] if self._context.requests.must_end_shooting else self._contradicted_twice(bad)
         revoked = self._take_back(bad)
         if revoked:
             await checker.drop(revoked)
         return bool(revoked)
+
+    def _contradicted_twice(self, bad: list[tuple[int, int, Judgement]]) -> list[tuple[int, int, Judgement]]:
+        """Photos that are of other attempts by their content and by their own time: they never stay accepted."""
+        times = self._context.record.times.contradictions
+        return [
+            (shot, number, replace(judged, reason=f"{judged.reason}; {times[shot, number, 1]}"))
+            for shot, number, judged in bad
+            if judged.verdict in {Content.CONTRADICTS, Content.UNTIED} and (shot, number, 1) in times
+        ]
 
     def _take_back(self, bad: list[tuple[int, int, Judgement]]) -> list[int]:
         record = self._context.record

@@ -189,6 +189,10 @@ class ManifestWriter:
             "gimbal": _gimbal_json(record),
             "battery": [{"time": iso_utc(time), "charge_frac": round(charge, 4)} for time, charge in self._charges],
             "warnings": list(record.warnings),
+            "time_contradictions": [
+                {"shot": shot, "attempt": attempt, "photo": photo, "reason": why}
+                for (shot, attempt, photo), why in sorted(record.times.contradictions.items())
+            ],
             "certificate": _certificate_json(certificate, record),
             "parallax": _parallax_json(self._seams.pairs(record)),
             "conventions": CONVENTIONS,
@@ -406,6 +410,7 @@ def _photo_json(attempt: AttemptRecord, photo: ev.Photo, folder: Path) -> dict[s
         "raw": (stored.raw or None) if stored is not None else None,
         "exif": None if stored is None or stored.exif is None else encode(stored.exif),
         "differs": None if stored is None else list(stored.differs),
+        "taken": None if stored is None else iso_utc(stored.taken_s),
     }
 
 

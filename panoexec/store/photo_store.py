@@ -18,14 +18,14 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Final, Literal, TypeAlias
 
 from panoexec.errors import PanoexecError, UsageError
 from panoexec.files import to_disk, write_atomically_with
 from panoexec.formats.photo_kind import photo_kind
-from panoexec.formats.photo_settings import PhotoExif, differences, read_settings
+from panoexec.formats.photo_settings import PhotoExif, differences, read_settings, read_taken
 from panoexec.mission.log.events import PhotoStored
 from panoexec.mission.log.record import MissionRecord
 
@@ -56,6 +56,7 @@ class _Written:
     size_bytes: int
     sha256: str
     exif: PhotoExif | None
+    taken: tuple[float, float]
 
 
 class PhotoStore:
@@ -150,7 +151,11 @@ class PhotoStore:
             raw_sha256="" if beside is None else beside.sha256,
             exif=written.exif,
             differs=self._differences(written.exif, besides=(shot, attempt, photo)),
+            taken_s=written.taken[0],
+            taken_resolution_s=written.taken[1],
         )
+        why = self._record.times.judge(shot, self._record.shots[shot].attempts[attempt - 1], event)
+        event = replace(event, contradiction=why)
         recorded = self._emit(event)
         if recorded is None:
             raise PhotoNotRecordedError(f"{self._folder / file}: stored, but the mission takes no more events")
@@ -298,7 +303,7 @@ class _Work:
                     f"{self._shown(name)}: is the photo of shot {shot}, attempt {attempt}, too ({file});"
                     " one photo counts once"
                 )
-        return _Written(name, size, digest, read_settings(path))
+        return _Written(name, size, digest, read_settings(path), read_taken(path))
 
     def _is_same(self, target: Path) -> bool:
         if isinstance(self.content, bytes):

@@ -32,6 +32,10 @@ class PhotoStored(ShotEvent):
         raw_sha256: of the RAW file's content.
         exif: what it was taken with; None if it is no JPEG, or was stored by a version that did not read it.
         differs: in what its settings differ from those of the mission's first stored photo.
+        taken_s: when it was taken, as its EXIF tells by the camera's clock, taken as UTC, seconds since 1970; NaN if it
+            does not tell.
+        taken_resolution_s: of that time; NaN if there is none.
+        contradiction: why that time does not fit its attempt, by the photos stored before it; "" if nothing says so.
     """
 
     photo: Whole = 1
@@ -43,6 +47,9 @@ class PhotoStored(ShotEvent):
     raw_sha256: str = ""
     exif: PhotoExif | None = None
     differs: tuple[str, ...] = ()
+    taken_s: Number = NAN
+    taken_resolution_s: Number = NAN
+    contradiction: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,14 +13,13 @@ from panoexec.angles import FloatArray, rotation, rotation_from_quaternion
 from panoexec.devices import EvidenceLevel
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.pending_commands import PendingCommands
+from panoexec.mission.log.photo_times import PhotoTimes
+from panoexec.mission.log.photo_warnings import PhotoWarnings
 from panoexec.mission.log.shot_record import AttemptRecord, ShotRecord, ShotStatus, Verdict
 from panoexec.mission.log.states import ENDED, MissionState, check_transition
 from panoexec.mission.pointing.poses import pose_of
 from panoexec.pictures.model import BAD
 from panoexec.planning.model import Shot
-
-_SHOWN_SETTINGS = 4
-"""Photos with other settings than the first that a warning names."""
 
 
 class MissionRecord:
@@ -61,8 +60,9 @@ class MissionRecord:
         self.open_loop = False
         self.certified: bool | None = None
         self.warnings: list[str] = []
-        self._other_settings: dict[int, str] = {}
-        self._settings_warning = ""
+        self._photo_warnings = PhotoWarnings(self.warnings)
+        self.times = PhotoTimes()
+        """What stored photos tell of the time at which they were taken."""
         self.reported_level = EvidenceLevel.COMMANDED
         """Evidence that the camera gives of its photos by reports of its own: `FEEDBACK_PIN`, `CAPTURE_MESSAGE`, or
         `COMMANDED` before its first report."""
@@ -186,6 +186,7 @@ class MissionRecord:
                         yaw_deg=event.yaw_deg,
                         started_utc_s=event.time_utc_s,
                         seq=event.seq,
+                        process=self.restarts,
                     )
                 )
                 record.status = ShotStatus.ACTIVE
@@ -224,6 +225,7 @@ class MissionRecord:
             raise ValueError(f"shot {event.shot}: attempt {event.attempt} is revoked, but was not accepted")
         attempt.verdict, attempt.by, attempt.code, attempt.reason = Verdict.REJECTED, "", event.code, event.reason
         attempt.photos = event.photos or attempt.photos
+        self._tell_times()
         if record.accepted is not None:  # an earlier photo still counts
             return
         self._done.discard(event.shot)
@@ -263,20 +265,17 @@ class MissionRecord:
             raise ValueError(f"shot {event.shot}: a photo of attempt {event.attempt} is stored, which never began")
         attempts[event.attempt - 1].stored[event.photo] = event
         if event.differs:
-            self._warn_of_settings(event)
+            self._photo_warnings.settings(event.shot, ", ".join(event.differs))
+        self.times.note(event.shot, attempts[event.attempt - 1], event)
+        self._tell_times()
 
-    def _warn_of_settings(self, event: ev.PhotoStored) -> None:
-        """Keep one warning about photos that were taken with other settings than the first."""
-        if self._settings_warning in self.warnings:
-            self.warnings.remove(self._settings_warning)
-        self._other_settings[event.shot] = ", ".join(event.differs)
-        shown = [f"shot {shot} ({text})" for shot, text in list(self._other_settings.items())[:_SHOWN_SETTINGS]]
-        more = len(self._other_settings) - len(shown)
-        self._settings_warning = (
-            f"{len(self._other_settings)} photos were taken with other settings than the first: {'; '.join(shown)}"
-            + (f"; and {more} more" if more else "")
-        )
-        self.warnings.append(self._settings_warning)
+    def _tell_times(self) -> None:
+        """Tell of accepted photos whose own time contradicts their attempt."""
+        found = sorted(self.times.contradictions.items())
+        self._photo_warnings.times({shot: why for (shot, number, _), why in found if self._is_accepted(shot, number)})
+
+    def _is_accepted(self, shot: int, number: int) -> bool:
+        return self.shots[shot].attempts[number - 1].verdict is Verdict.ACCEPTED
 
     def _open(self, event: ev.ShotEvent) -> AttemptRecord:
         attempts = self.shots[event.shot].attempts

@@ -48,6 +48,8 @@ class AttemptRecord:
     started_utc_s: float
     seq: int = 0
     """Number of the event that began it: the order of attempts, whatever the clock says."""
+    process: int = 0
+    """How often the mission had been restarted: the mission's clock begins anew with each process."""
     verdict: Verdict = Verdict.OPEN
     by: str = ""
     code: str = ""

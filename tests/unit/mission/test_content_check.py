@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import AsyncIterator, Collection, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -126,7 +127,7 @@ class Mission:
         self.context.queue.add(shot)
         self.emit(ev.ShotRevoked(shot=shot, attempt=number, code=code, reason=reason, photos=photos))
 
-    def accept(self, shot: int, *, stored: bool = True) -> None:
+    def accept(self, shot: int, *, stored: bool = True, taken_s: float = math.nan) -> None:
         self.context.queue.clear()
         number = len(self.record.shots[shot].attempts) + 1
         self.emit(ev.ShotStarted(shot=shot, attempt=number, round=0, pitch_deg=0.0, yaw_deg=0.0, patience_s=1.0))
@@ -143,7 +144,14 @@ class Mission:
             (self.folder / name).write_bytes(b"x")
             self.emit(
                 ev.PhotoStored(
-                    shot=shot, attempt=number, file=name, size_bytes=1, sha256=f"{shot}{number}" * 32, source="local"
+                    shot=shot,
+                    attempt=number,
+                    file=name,
+                    size_bytes=1,
+                    sha256=f"{shot}{number}" * 32,
+                    source="local",
+                    taken_s=taken_s,
+                    taken_resolution_s=1.0,
                 )
             )
 
@@ -197,6 +205,19 @@ async def test_a_bad_photo_is_taken_back_with_its_code(tmp_path: Path) -> None:
     await mission.checked()
     assert mission.record.content is not None
     assert not mission.record.bad_photos()
+
+
+async def test_what_content_and_its_own_time_contradict_never_stays_accepted(tmp_path: Path) -> None:
+    mission = Mission(tmp_path, pictures="warn")
+    for shot in range(6):  # all at one moment of the mission's clock
+        mission.accept(shot, taken_s=1e9 + (40 if shot in {1, 3} else 0))
+    mission.checker.bad |= {1: Content.CONTRADICTS, 2: Content.CONTRADICTS, 3: Content.BLURRED}
+    await mission.checked()
+    assert mission.revoked == [(1, 1, "contradicts")]
+    assert mission.record.shots[1].attempts[0].verdict is Verdict.REJECTED
+    assert "bad; its file tells that it was taken at least" in mission.record.shots[1].attempts[0].reason
+    (warning,) = mission.record.warnings
+    assert warning.startswith("1 photos contradict the time of their trigger: shot 3")
 
 
 async def test_a_warning_takes_nothing_back_but_the_photo_does_not_count(tmp_path: Path) -> None:
