@@ -114,6 +114,53 @@ class Browser:
         self.call("Page.navigate", url=path.absolute().as_uri())
         self.until("document.readyState === 'complete' && document.documentElement.dataset.ready === 'yes'")
 
+    def visit(self, url: str) -> None:
+        """Open an address and return when its scripts say that the page is ready."""
+        # from elsewhere, so that it is loaded anew, and no question is put to the page that was there before
+        for address in ("about:blank", url):
+            self.events.clear()
+            self.call("Page.navigate", url=address)
+            self._await("Page.loadEventFired")
+        self.until("document.documentElement.dataset.ready === 'yes'")
+
+    def _await(self, method: str) -> None:
+        deadline = time.monotonic() + LIMIT_S
+        while not any(event.get("method") == method for event in self.events):
+            self.events.append(self._message(deadline, method))
+
+    def click(self, selector: str) -> None:
+        """Click the middle of an element, as a mouse does: what lies above it gets the click."""
+        x, y = self.middle(selector)
+        self.mouse("mousePressed", x, y, buttons=1)
+        self.mouse("mouseReleased", x, y)
+
+    def middle(self, selector: str) -> tuple[float, float]:
+        """Of an element that is scrolled into the view, in the window."""
+        found = f"document.querySelector({json.dumps(selector)})"
+        self.until(f"{found} !== null && {found}.getClientRects().length > 0")
+        self.value(f"{found}.scrollIntoView({{block: 'center', behavior: 'instant'}})")
+        box = self.value(
+            f"(({{x, y, width, height}}) => [x + width / 2, y + height / 2])({found}.getBoundingClientRect())"
+        )
+        return float(box[0]), float(box[1])
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float], *, steps: int = 8) -> None:
+        """Press, move in steps, release."""
+        self.mouse("mousePressed", *start, buttons=1)
+        for k in range(1, steps + 1):
+            x, y = (a + (b - a) * k / steps for a, b in zip(start, end, strict=True))
+            self.mouse("mouseMoved", x, y, buttons=1)
+        self.mouse("mouseReleased", *end)
+
+    def key(self, text: str) -> None:
+        """Press a key and let it go."""
+        named = {"Escape": 27, "Enter": 13, "Tab": 9}
+        more: dict[str, Any] = {"windowsVirtualKeyCode": named[text]} if text in named else {"text": text}
+        if text == "Enter":
+            more["text"] = "\r"
+        self.call("Input.dispatchKeyEvent", type="keyDown", key=text, **more)
+        self.call("Input.dispatchKeyEvent", type="keyUp", key=text, **{k: v for k, v in more.items() if k != "text"})
+
     def value(self, expression: str) -> Any:
         """What an expression is in the page."""
         answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
@@ -124,7 +171,8 @@ class Browser:
         """Return an expression's value once it is true."""
         deadline = time.monotonic() + LIMIT_S
         # the page tells it after one of its frames; asked again until then
-        asked = f"new Promise((r) => setTimeout(() => r({condition}), 30))"
+        # what throws because something is not there yet is not true yet
+        asked = f"new Promise((r) => setTimeout(() => {{ try {{ r({condition}); }} catch {{ r(false); }} }}, 30))"
         while True:
             try:
                 if value := self.value(asked):

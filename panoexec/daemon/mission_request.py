@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 from panoexec.adapters.link.connection_url import parse_connection
-from panoexec.daemon.presets import preset_problems
 from panoexec.devices import EvidenceLevel
 from panoexec.errors import InputFileError, UsageError
 from panoexec.inputs.camera_profiles import CameraProfile, configured_profile, load_profile, profile_from_mapping
@@ -103,7 +102,7 @@ def settings_of(config: Config, spec: PlanSpec) -> MissionSettings:
 
 def configuration_problems(config: Config) -> list[str]:
     """What a checked configuration can still have wrong: files it names, and what this version cannot do."""
-    problems = credential_problems(config.mqtt) + preset_problems(config)
+    problems = credential_problems(config.mqtt)
     try:
         settings_of(config, configured_spec(config, configured_profile(config)))
     except UsageError as error:

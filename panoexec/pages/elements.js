@@ -48,7 +48,7 @@ export function rgb(name) {
 export function responsive(node, draw) {
   let width = 0;
   const again = () => { if (node.clientWidth && node.clientWidth !== width) { width = node.clientWidth; draw(width); } };
-  new ResizeObserver(again).observe(node);
+  new ResizeObserver(() => requestAnimationFrame(again)).observe(node);
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => draw(width || node.clientWidth));
   again();
 }

@@ -81,6 +81,7 @@ export class SphereView {
     return [0, 1, 2].map((k) => w * ahead[k] + u * right[k] + v * down[k]);
   }
   draw() {
+    if (!this.width) return;
     const { context: c, ratio } = this, basis = this.basis();
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
     c.clearRect(0, 0, this.width, this.height);
@@ -106,6 +107,21 @@ export class SphereView {
       return;
     }
     const w = Math.round(this.width * scale), h = Math.round(this.height * scale), r = this.radius * scale;
+    const key = `${this.yaw} ${this.pitch} ${w} ${h} ${r} ${texture.version || 0}`;
+    if (key !== this.sheetKey || this.sheetOf !== texture) {
+      this.sheetKey = key;
+      this.sheetOf = texture;
+      this.project(texture, w, h, r, ahead, right, down);
+    }
+    this.context.imageSmoothingEnabled = true;
+    this.context.drawImage(this.sheet, 0, 0, this.width, this.height);
+    this.context.beginPath();
+    this.context.arc(this.width / 2, this.height / 2, this.radius, 0, 2 * Math.PI);
+    this.context.strokeStyle = colour("line"); this.context.lineWidth = 1.5;
+    this.context.stroke();
+  }
+  /* The texture as it is seen on the sphere. */
+  project(texture, w, h, r, ahead, right, down) {
     const image = this.context.createImageData(w, h), out = new Uint32Array(image.data.buffer), { width, height } = texture;
     const pixels = new Uint32Array(texture.pixels.buffer, texture.pixels.byteOffset, width * height);
     const kx = width / (2 * Math.PI), ky = height / Math.PI;
@@ -126,12 +142,6 @@ export class SphereView {
     }
     this.sheet.width = w; this.sheet.height = h;
     this.sheet.getContext("2d").putImageData(image, 0, 0);
-    this.context.imageSmoothingEnabled = true;
-    this.context.drawImage(this.sheet, 0, 0, this.width, this.height);
-    this.context.beginPath();
-    this.context.arc(this.width / 2, this.height / 2, this.radius, 0, 2 * Math.PI);
-    this.context.strokeStyle = colour("line"); this.context.lineWidth = 1.5;
-    this.context.stroke();
   }
   asCanvas(texture) {
     if (!texture.sheet) {

@@ -98,7 +98,7 @@ class Mission:
         index = whole(event.get("shot"), _MOST_SHOTS - 1)
         if told is not None:
             entry = {"seq": seq, "time": text(event.get("time"), 40), "kind": kind, "level": told[0], "text": told[1]}
-            entry |= {"shot": index, "attempt": whole(event.get("attempt"))}
+            entry |= {"shot": index, "attempt": whole(event.get("attempt")), "code": text(event.get("code"), 40)}
             self._events.append(entry)
         if kind == "content_judged":
             self._content = _content(event)

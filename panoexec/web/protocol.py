@@ -54,7 +54,8 @@ and `attempts`, each with `n`, `verdict` (`open`, `accepted`, `rejected`, `inter
 `content` of a mission: null, or `edges` and `bridges` (lists of pairs of shots), `groups`, `geometry_only`, `bad`,
 `unchecked` (lists of shots).
 
-An *event*: `seq`, `time`, `kind` (its type), `level` (`info`, `good`, `warning`, `bad`), `text`, `shot`, `attempt`.
+An *event*: `seq`, `time`, `kind` (its type), `level` (`info`, `good`, `warning`, `bad`), `text`, `shot`, `attempt`,
+`code` (of a pause: the guard that holds; "" for none).
 
 An *entry* of the log: `id`, `time`, `who`, `vehicle`, `command`, `fields` (without a plan), `stage`, `error`. `stage`
 is `sent` (on its way to the broker), `received` (the broker has it), `done`, `refused` (the vehicle said why not),
@@ -93,9 +94,9 @@ MAX_FRAME: Final = 80 * 1024
 
 COMMANDS: Final = (
     *("plan", "start", "pause", "resume", "abort", "finish", "skip", "repeat"),
-    *("get", "doctor", "missions", "presets", "thumbnails", "set_profile"),
+    *("get", "doctor", "missions", "thumbnails", "set_profile"),
 )
-VIEWER_COMMANDS: Final = frozenset({"get", "missions", "plan", "presets", "thumbnails"})
+VIEWER_COMMANDS: Final = frozenset({"get", "missions", "plan", "thumbnails"})
 """What does not act on the vehicle; all others need the role `operator`."""
 
 Stage: TypeAlias = Literal["sent", "received", "done", "refused", "failed"]
