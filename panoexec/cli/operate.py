@@ -69,6 +69,7 @@ class Verb:
 
 
 def _of_start(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--preset", metavar="NAME", help="what the vehicle's configuration has under [presets.NAME]")
     parser.add_argument("--plan", metavar="PLAN.json", help="fly this plan instead of one that the vehicle computes")
     parser.add_argument("--name", metavar="TEXT", help="name of the mission, for people")
     parser.add_argument("--camera", metavar="NAME", help="camera profile of the vehicle ([camera] profile)")
@@ -97,8 +98,9 @@ def _start_fields(args: argparse.Namespace) -> Data:
         "azimuth_deg": args.azimuth,
         "tolerance_deg": tolerance or None,
     }
-    names = ("name", "camera", "reference", "method", "order", "overlap", "overlap_h", "overlap_v", "guarantee")
-    fields |= {name: getattr(args, name) for name in names}
+    overlaps = ("overlap", "overlap_h", "overlap_v")
+    for name in ("preset", "name", "camera", "reference", "method", "order", "guarantee", *overlaps):
+        fields[name] = getattr(args, name)
     return {name: value for name, value in fields.items() if value is not None}
 
 
@@ -191,6 +193,7 @@ _START = """Start a mission on a vehicle. What is not given comes from the vehic
 Examples:
   panoexec start
   panoexec start --elevation -60 10 --overlap 0.2 --name "quarry, north face"
+  panoexec start --preset roof
   panoexec start --plan plan.json"""
 
 VERBS: Final[Mapping[str, Verb]] = MappingProxyType(

@@ -26,6 +26,7 @@ import panoexec.cli.lean  # noqa: F401  (must be imported first)
 from panoexec.cli.broker_options import add_broker_arguments, broker_of
 from panoexec.cli.one_heap import use_one_heap
 from panoexec.cli.output import note
+from panoexec.daemon.sdnotify import SystemdNotifier
 from panoexec.errors import UsageError
 from panoexec.inputs.config import LogSection, WebSection, listen_address, load_config
 from panoexec.logs import configure_logs
@@ -63,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         host, port = _address(args.listen or section.listen)
         configure_logs(log.level, log.format)
         options = Options(mqtt=mqtt, web=section, host=host, port=port, storage=_existing(storage, args.storage))
-        asyncio.run(_serve(lambda: Server(options)))
+        asyncio.run(_serve(lambda: Server(options), SystemdNotifier()))
     except UsageError as error:
         if "NOTIFY_SOCKET" not in os.environ:
             raise
@@ -127,13 +128,27 @@ def _password(name: str) -> str:
     return first
 
 
-async def _serve(make: Callable[[], Server]) -> None:
+async def _serve(make: Callable[[], Server], notifier: SystemdNotifier) -> None:
     loop = asyncio.get_running_loop()
     task = asyncio.current_task()
     assert task is not None
     for one in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(one, task.cancel)
+    server = make()
+    telling = asyncio.create_task(_tell(server, notifier), name="service manager")
     try:
-        await make().run()
+        await server.run()
     except asyncio.CancelledError:
-        return
+        notifier.stopping("stopping")
+    finally:
+        telling.cancel()
+        await asyncio.gather(telling, return_exceptions=True)
+
+
+async def _tell(server: Server, notifier: SystemdNotifier) -> None:
+    """Tell the service manager that the server is ready, and that its event loop still turns."""
+    await server.ready.wait()
+    notifier.ready(f"listening at port {server.port}")
+    while notifier.watchdog_s is not None:
+        notifier.watchdog()
+        await asyncio.sleep(notifier.watchdog_s / 3)

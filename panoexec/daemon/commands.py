@@ -16,6 +16,7 @@ from panoexec.daemon.errors import MissionStorageError
 from panoexec.daemon.mission_request import chosen_profile, settings_of, spec_of
 from panoexec.daemon.missions import Missions
 from panoexec.daemon.planning_desk import PlanningDesk
+from panoexec.daemon.presets import presets_document, with_preset
 from panoexec.daemon.stopping import DECLINED, Stopping
 from panoexec.daemon.thumbnails import Thumbnails
 from panoexec.daemon.vehicle_link import VehicleLink
@@ -32,6 +33,7 @@ from panoexec.mqtt.requests import (
     DoctorRequest,
     MissionsRequest,
     PlanRequest,
+    PresetsRequest,
     RefusedRequestError,
     RepeatRequest,
     Request,
@@ -180,6 +182,7 @@ class Commands:
                 assert beginning is not None
                 data = await self._start(request, incoming, beginning)
             case PlanRequest():
+                request = with_preset(self._config(), request)
                 spec = spec_of(self._config(), request, camera=self.camera, limits=self._vehicle.turn_limits)
                 plan = await _in_time(self._plans.for_sender(spec, incoming.sender), incoming)
                 data = self._planned(plan, request)
@@ -188,6 +191,8 @@ class Commands:
                 data = await self._resume(incoming, beginning)
             case MissionsRequest():
                 data = await self._list(request.newest)
+            case PresetsRequest():
+                data = {"presets": presets_document(self._config())}
             case ThumbnailsRequest():
                 data = await self._resend(request)
             case DoctorRequest():
@@ -239,6 +244,7 @@ class Commands:
 
     async def _start(self, request: StartRequest, incoming: Incoming, beginning: Beginning) -> dict[str, Any]:
         config = self._config()
+        request = with_preset(config, request)
         spec = spec_of(config, request, camera=self.camera, limits=self._vehicle.turn_limits)
         settings = settings_of(config, spec)
         async with self._missions.claimed(beginning):

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from panoexec.adapters.link.connection_url import parse_connection
+from panoexec.daemon.presets import preset_problems
 from panoexec.devices import EvidenceLevel
 from panoexec.errors import InputFileError, UsageError
 from panoexec.inputs.camera_profiles import CameraProfile, configured_profile, load_profile, profile_from_mapping
@@ -102,7 +103,7 @@ def settings_of(config: Config, spec: PlanSpec) -> MissionSettings:
 
 def configuration_problems(config: Config) -> list[str]:
     """What a checked configuration can still have wrong: files it names, and what this version cannot do."""
-    problems = credential_problems(config.mqtt)
+    problems = credential_problems(config.mqtt) + preset_problems(config)
     try:
         settings_of(config, configured_spec(config, configured_profile(config)))
     except UsageError as error:

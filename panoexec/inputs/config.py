@@ -382,6 +382,8 @@ class Config(Section):
     storage: StorageSection = StorageSection()
     web: WebSection = WebSection()
     log: LogSection = LogSection()
+    presets: dict[str, dict[str, Any]] = {}
+    """Requests with a name; `panoexec.daemon.presets` checks them by the model of the request."""
 
     @model_validator(mode="after")
     def _a_vehicle_that_pans_may_be_turned(self) -> Self:

@@ -175,6 +175,20 @@ class MissionsFields(Fields):
     missions: tuple[StoredMissionFields, ...]
 
 
+class PresetFields(Fields):
+    """A preset: its id for requests, its name for people, and the fields of the request that it stands for."""
+
+    preset: str
+    name: str
+    fields: dict[str, Any]
+
+
+class PresetsFields(Fields):
+    """The presets of the configuration."""
+
+    presets: tuple[PresetFields, ...]
+
+
 class ThumbnailsFields(Fields):
     """How many thumbnails are sent, as the link has room."""
 
@@ -194,6 +208,7 @@ ANSWERS: dict[str, type[BaseModel]] = {
     "get": State,
     "doctor": DoctorFields,
     "missions": MissionsFields,
+    "presets": PresetsFields,
     "thumbnails": ThumbnailsFields,
     "set_profile": ProfileFields,
 }

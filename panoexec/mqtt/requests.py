@@ -131,6 +131,7 @@ class PlanRequest(Request):
         method: planning method.
         order: shooting order.
         plan: a plan file instead of a plan to be computed.
+        preset: whose fields are taken where the request has none: `[presets.NAME]` of the configuration.
         shots: whether the answer has the whole plan file, too.
     """
 
@@ -149,6 +150,7 @@ class PlanRequest(Request):
     method: Literal["certified", "paper"] | None = None
     order: Literal["fastest", "rows", "columns", "nadir-first", "sky-first"] | None = None
     plan: Annotated[dict[str, Any], Strict()] | None = None
+    preset: Annotated[str, Strict(), Field(min_length=1, max_length=40)] | None = None
     shots: Annotated[bool, Strict()] = False
 
     @field_validator("camera")
@@ -285,6 +287,13 @@ class MissionsRequest(Request):
     newest: Annotated[int, Strict(), Field(ge=1, le=50)] = 10
 
 
+class PresetsRequest(Request):
+    """Return the presets of the configuration."""
+
+    command: ClassVar[str] = "presets"
+    acts: ClassVar[bool] = False
+
+
 class ThumbnailsRequest(Request):
     """Publish thumbnails again.
 
@@ -341,6 +350,7 @@ REQUESTS: dict[str, type[Request]] = {
         GetRequest,
         DoctorRequest,
         MissionsRequest,
+        PresetsRequest,
         ThumbnailsRequest,
         SetProfileRequest,
     )

@@ -6,7 +6,7 @@ from typing import Final
 
 COMMANDS: Final = (
     *("plan", "start", "pause", "resume", "abort", "finish", "skip", "repeat"),
-    *("get", "doctor", "missions", "thumbnails", "set_profile"),
+    *("get", "doctor", "missions", "presets", "thumbnails", "set_profile"),
 )
 """The commands; `panoexec.mqtt.requests.REQUESTS` has the model of each."""
 

@@ -100,6 +100,10 @@ class Browsers:
         if vehicle is not None:
             self._followed.setdefault(vehicle, set()).add(browser)
 
+    def followed(self) -> list[str]:
+        """The vehicles that somebody follows."""
+        return list(self._followed)
+
     def is_followed(self, vehicle: str) -> bool:
         """See `Audience`."""
         return vehicle in self._followed

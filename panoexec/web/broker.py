@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import random
-import time
 import uuid
 from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass, replace
@@ -27,7 +26,6 @@ from panoexec.web.protocol import is_mission, is_vehicle
 RETRY_S: Final = 1.0
 """Pause between attempts to connect, with jitter: a page is right again 3 s after its link is."""
 
-_RETRY_MOST_S: Final = 2.0
 _SESSION_S: Final = 600
 """How long the broker keeps events for this process while the link is lost (MQTT 5)."""
 
@@ -113,19 +111,14 @@ class BrokerLink:
 
     async def run(self) -> None:
         """Connect, and reconnect after every loss, until cancelled."""
-        patience_s = self._retry_s
         while True:
-            began = time.monotonic()
             try:
                 await self._session()
             except (aiomqtt.MqttError, PanoexecError, OSError, TimeoutError, ValueError) as error:
                 why = explained(str(error), self._settings)
                 where = f"{self._settings.host}:{self._settings.port}"
                 self._changed(up=False, reason=f"no connection to the broker {where}: {why}")
-            if time.monotonic() - began > 10 * self._retry_s:
-                patience_s = self._retry_s
-            await asyncio.sleep(patience_s * random.uniform(0.5, 1.0))
-            patience_s = min(1.5 * patience_s, max(_RETRY_MOST_S, self._retry_s))
+            await asyncio.sleep(self._retry_s * random.uniform(0.5, 1.0))
 
     def _changed(self, *, up: bool, reason: str = "") -> None:
         if up == self.up and reason == self.reason:

@@ -23,7 +23,7 @@ _MARK: Final = "panoexec-web"
 _WAIT_S: Final = {"plan": 320.0, "start": 320.0, "doctor": 120.0}
 _USUAL_WAIT_S: Final = 30.0
 _REASONS: Final = frozenset({"pause", "finish", "abort"})
-_SILENT: Final = frozenset({"get", "missions", "thumbnails", "plan"})
+_SILENT: Final = frozenset({"get", "missions", "presets", "thumbnails", "plan"})
 """Commands without an effect: not in the log."""
 
 _LOG_LINES: Final = 100

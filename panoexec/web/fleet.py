@@ -86,13 +86,13 @@ class Fleet:
     Attributes:
         vehicles: by id.
         on_response: called with each answer of a vehicle.
-        on_mission: called with vehicle and mission id when another mission is told.
+        on_link: called when the connection to the broker was made or lost.
     """
 
     def __init__(self, audience: Audience) -> None:
         self.vehicles: dict[str, Vehicle] = {}
         self.on_response: Callable[[Response], None] = lambda _: None
-        self.on_mission: Callable[[str, str], None] = lambda _vehicle, _mission: None
+        self.on_link: Callable[[], None] = lambda: None
         self.link_up = False
         self._audience = audience
         self._thumbnails: OrderedDict[tuple[str, str, int], bytes] = OrderedDict()
@@ -122,6 +122,7 @@ class Fleet:
     def link_changed(self, link: BrokerLink) -> None:
         """See `Listener`."""
         self.link_up = link.up
+        self.on_link()
         self._audience.tell_all(link_message(link))
         for vehicle in self.vehicles.values():
             vehicle.changed = True
@@ -257,7 +258,6 @@ class Fleet:
             if vehicle.next_plan is not None:
                 mission.take_plan(vehicle.next_plan, guess=True)
                 vehicle.next_plan = None
-        self.on_mission(vehicle.id, mission_id)
         return mission, True
 
     def _tell_mission(self, vehicle: Vehicle) -> None:

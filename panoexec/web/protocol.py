@@ -94,9 +94,9 @@ MAX_FRAME: Final = 80 * 1024
 
 COMMANDS: Final = (
     *("plan", "start", "pause", "resume", "abort", "finish", "skip", "repeat"),
-    *("get", "doctor", "missions", "thumbnails", "set_profile"),
+    *("get", "doctor", "missions", "presets", "thumbnails", "set_profile"),
 )
-VIEWER_COMMANDS: Final = frozenset({"get", "missions", "plan", "thumbnails"})
+VIEWER_COMMANDS: Final = frozenset({"get", "missions", "plan", "presets", "thumbnails"})
 """What does not act on the vehicle; all others need the role `operator`."""
 
 Stage: TypeAlias = Literal["sent", "received", "done", "refused", "failed"]

@@ -26,6 +26,7 @@ from panoexec.web.fleet import Fleet
 from panoexec.web.library import Library, ended
 from panoexec.web.pages import Pages
 from panoexec.web.protocol import encode
+from panoexec.web.refill import Refill
 from panoexec.web.sockets import Sockets
 
 _IDLE_S: Final = 20.0
@@ -87,6 +88,8 @@ class Server:
         secure = self._tls is not None or any(one.startswith("https:") for one in section.origins)
         self._pages = Pages(access=self._access, fleet=self._fleet, tls=secure)
         self._cameras: list[Any] = []
+        self._refill = Refill(link=self._link, fleet=self._fleet, spawn=self._spawn)
+        self._fleet.on_link = self._refill.link_lost
         self._library = Library(options.storage, browsers=self._browsers, spawn=self._spawn)
         self._sockets = Sockets(
             access=self._access,
@@ -96,7 +99,7 @@ class Server:
             commands=self._commands,
             greeting=self._greeting,
             stitch=self._library.stitch,
-            followed=lambda _: None,
+            followed=self._refill.look,
         )
 
     async def run(self) -> None:

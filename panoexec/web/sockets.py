@@ -65,7 +65,7 @@ class Sockets:
             commands: takes commands.
             greeting: further fields of `hello`.
             stitch: takes the request to stitch a mission.
-            followed: called with the vehicle that a browser has begun to follow.
+            followed: called with a vehicle that a browser follows, again once a second.
         """
         self._access = access
         self._browsers = browsers
@@ -93,6 +93,8 @@ class Sockets:
 
     def _beat_once(self) -> None:
         now = _now()
+        for vehicle_id in self._browsers.followed():
+            self._followed(vehicle_id)
         for browser in self._browsers.all:
             if self._access.user(browser.token) != browser.user:
                 browser.end()  # logged out, removed, or with another role

@@ -17,6 +17,7 @@ import pytest
 
 from panoexec.adapters.camera.mavsdk_camera import MavsdkCamera
 from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
+from panoexec.adapters.link.file_urls import FileUrls
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import SystemClock
@@ -70,10 +71,10 @@ class MissionContext:
 
 
 @contextlib.asynccontextmanager
-async def flight(connection: str) -> AsyncIterator[MissionContext]:
+async def flight(connection: str, *folders: Path) -> AsyncIterator[MissionContext]:
     clock = SystemClock(SPEEDUP)
     async with (
-        MavsdkLink(connection, clock=clock) as link,
+        MavsdkLink(connection, clock=clock, files=FileUrls(folders=folders)) as link,
         MavsdkGimbal(link) as gimbal,
         MavsdkCamera(link) as camera,
         MavsdkVehicle(link) as vehicle,
@@ -98,7 +99,10 @@ async def check_reboot(flown: MissionContext) -> None:
 
 async def test_a_mavlink_gimbal_and_camera_behind_a_real_autopilot(tmp_path: Path) -> None:
     rig = SitlVehicle(binary=sitl_binary(None), simulation=SimConfig(speedup=SPEEDUP))
-    async with rig.running(images=tmp_path, note=lambda _: None) as running, flight(running.connection) as flown:
+    async with (
+        rig.running(images=tmp_path, note=lambda _: None) as running,
+        flight(running.connection, tmp_path) as flown,
+    ):
         assert flown.gimbal.found is not None
         assert flown.gimbal.found.feedback == "vehicle"
         assert flown.vehicle.status.mode == "OFFBOARD"
@@ -130,12 +134,11 @@ async def test_a_servo_mount_and_a_servo_camera_on_a_real_autopilot() -> None:
     )
     async with running_sitl(options), flight(f"udpin://127.0.0.1:{port}") as flown:
         assert flown.gimbal.found is not None
-        assert flown.gimbal.found.feedback == "body"
+        assert flown.gimbal.found.feedback == "none", "nobody measures where servos are"
         assert flown.camera.found is not None
         assert flown.camera.found.by_autopilot
         await flown.gimbal.acquire()
-        # the vehicle leans some 9° in the wind; composed with its attitude, the horizontal pose is right all the same
-        assert await flown.boresight_error_deg(0.0, -120.0, after_s=4.0) < 3.0
+        await flown.gimbal.point(0.0, -120.0)
         for expected in (1, 2):
             capture = await flown.camera.trigger()
             found = await capture.evidence(EvidenceLevel.COUNTED, 5.0)

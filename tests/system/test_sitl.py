@@ -182,7 +182,7 @@ def test_a_vehicle_that_runs_already_is_neither_armed_nor_flown_nor_ended(autopi
                 *sitl_runs.mission(*connect, *SMALL, speedup=SPEEDUP, output=tmp_path), "--json", timeout_s=LONG_S
             )
             assert done.returncode == 0, done.stderr
-            assert "stands on the ground" in done.stderr
+            assert "the vehicle is on the ground and stays there" in done.stderr
             summary = json.loads(done.stdout)
             assert summary["state"] == "complete"
             assert_true(Path(summary["directory"]))

@@ -205,6 +205,22 @@ async def test_events_wait_in_the_broker_while_the_connection_is_lost(broker: Br
             assert not snapshot["mission"]["gap"]
 
 
+async def test_thumbnails_that_were_missed_are_asked_for_once(broker: Broker) -> None:
+    async with fake_vehicle(broker.port) as vehicle, web_server(broker.port) as server:
+        await vehicle.state(state="capturing", mission_id=MISSION, shots_total=4, shots="d1 r1 c1 t1")
+        async with browser(server, follow="drone") as page:
+            await eventually(lambda: vehicle.requests)
+            command, fields = vehicle.requests[0]
+            assert (command, fields["mission_id"], fields["shots"]) == ("thumbnails", MISSION, [0, 1])
+            await vehicle.publish(f"thumbnail/{MISSION}/1", JPEG)
+            assert (await page.until("thumbnail"))["shot"] == 1
+            assert not page.of("log")
+            for _ in range(3):
+                await page.until("beat")
+                page.heard.clear()
+            assert len(vehicle.requests) == 1
+
+
 async def test_a_fleet_is_listed_and_changes_are_told_together(broker: Broker) -> None:
     async with web_server(broker.port) as server, browser(server) as page:
         async with fake_vehicle(broker.port, "one") as one, fake_vehicle(broker.port, "two") as two:
