@@ -59,6 +59,7 @@ COMMANDS: dict[str, Command] = {
     "send": Command("send", "send a request to a vehicle over MQTT and show the response"),
     "watch": Command("watch", "show live progress of vehicles over MQTT"),
     "web": Command("web", "serve the operator's page, a client of the MQTT interface", extra="web"),
+    "demo": Command("demo", "show it all on this computer: broker, simulated vehicle, daemon, page", extra="sim"),
     "doctor": Command("doctor", "check a vehicle before a mission and name the parameters to set"),
     "check-config": Command("check_config", "report all problems in a configuration file"),
 }

@@ -41,8 +41,6 @@ SERVO_RIG = {
     "SERVO11_FUNCTION": 8,
     "CAM1_TYPE": 1,
     "SERVO12_FUNCTION": 10,
-    "SIM_WIND_T": 1,
-    "SIM_WIND_SPD": 6,
 }
 REBOOT = 246
 

@@ -9,8 +9,6 @@ import re
 from pathlib import Path
 from typing import Any, get_args
 
-import pytest
-
 import panoexec
 from panoexec import errors
 from panoexec.cli.app import COMMANDS, EXIT_DONE, EXIT_INTERRUPTED, module_of, parser_of
@@ -147,13 +145,6 @@ def test_mission_states() -> None:
 
 def test_sections_of_the_configuration() -> None:
     assert [name.strip("[]") for name in rows("Configuration")] == list(Config.model_fields)
-
-
-@pytest.mark.parametrize("verb", ["demo"])
-def test_what_is_planned_is_not_there_yet(verb: str) -> None:
-    """What is built has to move up."""
-    assert verb not in COMMANDS
-    assert re.search(rf"`{verb}[ `]", PLANNED)
 
 
 def test_options_that_are_planned_are_not_there_yet() -> None:
