@@ -67,6 +67,19 @@ async def test_a_late_page_and_one_that_was_there_show_the_same(broker: Broker) 
                     assert await picture.read() == JPEG
 
 
+async def test_the_state_of_a_vehicle_behind_a_slow_link_is_told_whole(broker: Broker) -> None:
+    async with fake_vehicle(broker.port) as vehicle, web_server(broker.port) as server:
+        async with browser(server, follow="drone") as page:
+            await vehicle.state(state="capturing", mission_id=MISSION, shots_total=13, shots_done=1, boot_id="b")
+            whole = await page.until("state", lambda one: one["state"]["shots_done"] == 1)
+            base_seq = whole["state"]["seq"]
+            patch = {"shots_done": 2, "seq": base_seq + 1, "mission_id": None}
+            for delta in ({"boot_id": "other", "base": base_seq}, {"boot_id": "b", "base": base_seq}):
+                await vehicle.publish("state/delta", delta | {"patch": patch | {"reason": delta["boot_id"]}})
+            told = await page.until("state", lambda one: one["state"]["shots_done"] == 2)
+            assert told["state"] == whole["state"] | patch | {"reason": "b"}
+
+
 async def test_the_plan_of_the_next_mission_is_not_laid_on_the_last_one(broker: Broker) -> None:
     """The topic does not say whose plan it is; it comes before the first event of its mission, or after it."""
     later = "20261122T085801.864Z"
