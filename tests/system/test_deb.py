@@ -200,7 +200,7 @@ async def test_the_planner_runs_behind_the_daemon_and_is_what_the_kernel_ends(ma
         if group is not None:
             events = dict(line.split() for line in (group / "memory.events").read_text().splitlines())
             assert int(events["oom_kill"]) >= 1
-            sh("systemctl", "set-property", "--runtime", UNIT, "MemoryMax=600M")
+            sh("systemctl", "set-property", "--runtime", UNIT, "MemoryMax=750M")
         assert (await ground.ask("get", "lives"))["status"] == "ok"
     assert running()
     assert (int(show("MainPID")), show("NRestarts")) == (daemon, restarts)
