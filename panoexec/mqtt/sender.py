@@ -69,6 +69,7 @@ class Sender:
         self._under_way: list[Outgoing] = []
         self._hurry = asyncio.Event()
         """Set when there is an urgent message."""
+        self._ends = False
         self._sent_s = -math.inf
         self._answered_s = -math.inf
         self._announced_s = -math.inf
@@ -126,6 +127,7 @@ class Sender:
         idle = False
         while True:
             pulse()
+            self._ends = stop.is_set()
             # yield, so that an event and the state that it changes are sent in one batch
             await asyncio.sleep(0)
             if time.monotonic() - self._announced_s >= REPEAT_S:
@@ -165,6 +167,8 @@ class Sender:
     def _form(self, message: Outgoing, waited_s: float) -> Outgoing | None:
         """As what a message of a retained topic may be sent now; None if it has to wait."""
         now, held = time.monotonic(), self.outbox.held(message.topic)
+        if self._ends and message.topic == self._topics.state:
+            return message  # the last state, which stays at the broker: as a whole, and not later
         for form in self._forms.of(message, held=held, slow=self.pace.lastingly_slow):
             if self.pace.may_go(
                 form.size, waited_s=waited_s, now_s=now, answered_s=self._answered_s, delta=not form.retain

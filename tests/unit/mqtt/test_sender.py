@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -57,6 +58,18 @@ async def test_an_urgent_answer_does_not_wait_for_acknowledgements(most: int, at
     assert len(sender.outbox) == 0
     assert client.heard.index(b"stopped") == BATCH
     assert len(client.heard) == len(set(client.heard)) == BATCH + 3, "each once"
+
+
+async def test_the_last_state_leaves_whatever_the_pace_of_the_link() -> None:
+    sender, client, stop = Sender(Topics("p", "v"), five=True, keepalive_s=30.0), Client(1000), asyncio.Event()
+    client.acknowledges.set()
+    sender.connected(BEST, round_trip_s=0.0)
+    sender.pace.acknowledged(1000, 1.0, now_s=time.monotonic(), latest=1000)
+    sender.put(Outgoing(topic="p/v/state", payload=b"last", retain=True))
+    assert sender.next_batch(cast("Any", client)) == [], "a state was just sent, and took its share"
+    stop.set()
+    await sender.run(cast("Any", client), online=b"online", pulse=lambda: None, stop=stop)
+    assert client.heard == [b"last"]
 
 
 class Refusing:
