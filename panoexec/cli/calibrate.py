@@ -4,6 +4,9 @@ The missions need photos that were examined in flight ([pictures] check) and tie
 axis, the bias and the spread of the measurement, the largest pointing error as measured, and the tolerance τ that
 contains both together, for the next plan. Ties tell nothing about a heading error that all photos share.
 
+If the photos are still in the mission directories, they are matched again and the lens is adjusted with them:
+calibrated focal length and radial distortion, as proposals for the camera profile.
+
 Exit code 1: too few tied photos.
 
 Example:
@@ -14,13 +17,19 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import importlib.util
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from panoexec.cli.output import note, print_json, print_table
 from panoexec.exports.calibration import LEAST_PHOTOS, calibrate
 from panoexec.store.directory import existing_mission_directory
 from panoexec.store.rebuilding import current_manifest
+
+if TYPE_CHECKING:
+    from panoexec.exports.lens_calibration import LensProposal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,10 +40,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the figures."""
-    found = calibrate([current_manifest(existing_mission_directory(path)) for path in args.missions])
+    directories = [existing_mission_directory(path) for path in args.missions]
+    documents = [current_manifest(directory) for directory in directories]
+    found = calibrate(documents)
+    lens = None if found is None else _lens([(doc, at.path) for doc, at in zip(documents, directories, strict=True)])
     if args.json:
         axes = {} if found is None else {axis: _plain(dataclasses.asdict(own)) for axis, own in found.axes.items()}
-        print_json({"missions": len(args.missions), "photos": 0 if found is None else found.photos, "axes": axes})
+        photos = 0 if found is None else found.photos
+        print_json({"missions": len(args.missions), "photos": photos, "axes": axes, "lens": _lens_json(lens)})
     if found is None:
         note(f"panoexec: fewer than {LEAST_PHOTOS} photos of these missions are tied to others: nothing can be said")
         return 1
@@ -54,7 +67,46 @@ def run(args: argparse.Namespace) -> int:
             ),
             left=("axis",),
         )
+        _print_lens(lens)
     return 0
+
+
+def _lens(missions: Sequence[tuple[Mapping[str, Any], Path]]) -> LensProposal | None:
+    if importlib.util.find_spec("PIL") is None:
+        return None
+    from panoexec.exports.lens_calibration import propose_lens  # noqa: PLC0415  (it needs Pillow)
+
+    return propose_lens(missions)
+
+
+def _lens_json(lens: LensProposal | None) -> dict[str, Any] | None:
+    if lens is None:
+        return None
+    return {
+        "calibrated_focal_length_mm": round(lens.focal_length_mm, 4),
+        "focal_sigma_mm": round(lens.focal_sigma_mm, 4),
+        "distortion": {"k1": round(lens.k1, 5), "k2": round(lens.k2, 5)},
+        "k1_sigma": round(lens.k1_sigma, 5),
+        "k2_sigma": round(lens.k2_sigma, 5),
+        "points": lens.points,
+        "missions": lens.missions,
+    }
+
+
+def _print_lens(lens: LensProposal | None) -> None:
+    if lens is None:
+        note("the lens: nothing, without the photos of one camera in the mission directories (and Pillow)")
+        return
+    print_table(
+        f"lens, from {lens.points} points of {lens.missions} missions",
+        ("proposal for the profile", "value", "±"),
+        (
+            ("calibrated_focal_length_mm", f"{lens.focal_length_mm:.3f}", f"{lens.focal_sigma_mm:.3f}"),
+            ("distortion k1", f"{lens.k1:+.4f}", f"{lens.k1_sigma:.4f}"),
+            ("distortion k2", f"{lens.k2:+.4f}", f"{lens.k2_sigma:.4f}"),
+        ),
+        left=("proposal for the profile",),
+    )
 
 
 def _plain(values: dict[str, float]) -> dict[str, float | None]:

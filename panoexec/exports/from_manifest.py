@@ -48,6 +48,11 @@ def export_set(
         raise InputFileError(str(folder / "manifest.json"), [f"is damaged or incomplete ({where})"]) from error
 
 
+def camera_of(document: Mapping[str, Any]) -> Camera:
+    """The camera of a manifest."""
+    return _camera(document["camera"], None)
+
+
 def _camera(data: Mapping[str, Any], calibrated_mm: float | None) -> Camera:
     return Camera(
         name=str(data["name"]),

@@ -17,6 +17,7 @@ from panoexec.pictures.bridging import Bank, bridge_poses
 from panoexec.pictures.decoding import UnreadableError, decode
 from panoexec.pictures.features import DISTINCT_CORNER, Exposure, Features, features_of
 from panoexec.pictures.judgement import Limits, Pair, Subject, judge
+from panoexec.pictures.lens import LensFit, fit_lens
 from panoexec.pictures.matching import SEARCH_DEG, Tie, View, tie
 from panoexec.pictures.model import BAD, BridgePose, Content, PhotoToCheck, Verdicts
 from panoexec.planning.geometry.overlap import pairwise_overlap
@@ -27,6 +28,16 @@ LEAST_PX: Final = 240
 """Longer side below which nothing is examined but whether the file can be read."""
 MIN_OVERLAP: Final = 0.03
 """Least overlap, both ways, of photos that are compared."""
+_RATIOS: Final = (1.0, 0.99, 1.01, 0.98, 1.02, 0.97, 1.03)
+"""Focal lengths that are tried with the first photos, as shares of the nominal one: stated ones are rounded."""
+_GUESS_PAIRS: Final = 2
+_GUESS_CORNERS: Final = 20
+_BETTER: Final = 1.15
+"""How much better than the nominal focal length another one has to be."""
+_FITTED_AT: Final = frozenset({4, 6, 9, 14, 24, 48})
+"""Numbers of photos with which the focal length is fitted."""
+_FOCAL_STEP: Final = 0.0015
+"""A smaller change of the focal length is not worth tying all photos anew."""
 _BLACK, _WHITE = 10.0, 250.0
 _IN_MEMORY: Final = 48
 """Photos whose pixels are kept as they are; those of older ones are kept as JPEGs."""
@@ -72,6 +83,8 @@ class Examiner:
         self._expected: dict[int, frozenset[int]] = {}
         self._size: tuple[int, int] | None = None
         self._uses = 0
+        self._focal_ratio = 1.0
+        self._guessed = False
         self.plan(planned or {})
 
     def plan(self, planned: Mapping[int, FloatArray]) -> None:
@@ -104,7 +117,7 @@ class Examiner:
         return self._ties
 
     def focal_px(self) -> float:
-        """Focal length at the scale of the examination; NaN before the first readable photo."""
+        """Nominal focal length at the scale of the examination; NaN before the first readable photo."""
         for photo in self._photos.values():
             if photo.features is not None:
                 return photo.features.size[0] / (2 * self._camera.half_width)
@@ -146,6 +159,7 @@ class Examiner:
         if own.problem is not None:
             return
         self._tie(own)
+        self._calibrate()
         self._make_room()
 
     def condemn(self, photo: PhotoToCheck, code: str, reason: str) -> None:
@@ -170,6 +184,7 @@ class Examiner:
                 Subject(
                     shot=own.photo.shot,
                     time_s=own.photo.time_s,
+                    rotation=own.photo.rotation,
                     problem=own.problem,
                     same_as=same,
                     expected=self._expected.get(own.photo.shot, frozenset()),
@@ -219,6 +234,57 @@ class Examiner:
             if result is not None:
                 self._ties[first.photo.shot, second.photo.shot] = result
 
+    # --- the focal length
+
+    def lens(self) -> LensFit | None:
+        """The lens as the agreeing ties see it, relative to the nominal one; None with too few points."""
+        size = self.size_px()
+        if size is None:
+            return None
+        bad = {found.shot for found in self.verdicts(final=True).bad}
+        return self._fitted({pair: tie for pair, tie in self._ties.items() if not bad & set(pair)}, self.focal_px())
+
+    def _fitted(self, ties: Mapping[Pair, Tie], focal_px: float) -> LensFit | None:
+        width, height = self.size_px() or (1, 1)
+        rotations = {shot: own.photo.rotation for shot, own in self._photos.items()}
+        return fit_lens(ties, rotations, focal_px=focal_px, centre=np.array([(width - 1) / 2, (height - 1) / 2]))
+
+    def _calibrate(self) -> None:
+        """Find the focal length with the first photos, and again with some more: one that is 1 % off ties less."""
+        if not self._guessed:
+            self._guess()
+        readable = sum(own.features is not None for own in self._photos.values())
+        if readable not in _FITTED_AT:
+            return
+        fit = self._fitted(self._ties, self.focal_px() * self._focal_ratio)
+        if fit is not None and fit.focal_sigma < _FOCAL_STEP and abs(fit.focal_ratio - 1) > _FOCAL_STEP:
+            self._retie(self._focal_ratio * fit.focal_ratio)
+
+    def _guess(self) -> None:
+        pairs = [pair for pair, tie in self._ties.items() if tie.textured and tie.searched >= _GUESS_CORNERS]
+        if len(pairs) < _GUESS_PAIRS:
+            return
+        self._guessed = True
+        scores = []
+        for ratio in _RATIOS:
+            self._focal_ratio = ratio
+            found = [
+                tie(*(self._view(self._photos[shot]) for shot in pair), search_deg=self._search_deg) for pair in pairs
+            ]
+            # as many corners as possible, as exactly as possible
+            scores.append(sum(one.points / max(one.rms_px, 0.1) for one in found if one is not None and one.tied))
+        best = int(np.argmax(scores))
+        self._focal_ratio = 1.0
+        if scores[best] > _BETTER * scores[0]:
+            self._retie(_RATIOS[best])
+
+    def _retie(self, ratio: float) -> None:
+        self._focal_ratio = ratio
+        for a, b in list(self._ties):
+            result = tie(self._view(self._photos[a]), self._view(self._photos[b]), search_deg=self._search_deg)
+            if result is not None:
+                self._ties[a, b] = result
+
     def _view(self, own: _Photo) -> View:
         assert own.features is not None
         self._uses += 1
@@ -226,7 +292,7 @@ class Examiner:
         if own.packed:
             grey = np.asarray(PIL.Image.open(io.BytesIO(own.packed)))
             own.features, own.packed = replace(own.features, grey=grey), b""
-        focal = own.features.size[0] / (2 * self._camera.half_width)
+        focal = self._focal_ratio * own.features.size[0] / (2 * self._camera.half_width)
         return View(features=own.features, rotation=own.photo.rotation, focal_px=focal, place=own.photo.place)
 
     def _make_room(self) -> None:

@@ -24,6 +24,7 @@ from typing import Final
 
 import numpy as np
 
+from panoexec.angles import FloatArray
 from panoexec.pictures.attitudes import AttitudeErrors, TieEquation, bridges, connected_groups, corrections
 from panoexec.pictures.matching import Tie
 from panoexec.pictures.model import BAD, Content, Judgement, TieGraph, TieLine, Verdicts
@@ -62,6 +63,7 @@ class Subject:
     Attributes:
         shot: its number.
         time_s: when it was taken.
+        rotation: (3, 3) measured attitude, camera to world.
         problem: what is wrong with the photo by itself, and why; None if nothing.
         same_as: another shot whose picture is exactly this one, None if there is none.
         expected: shots that overlap it as planned.
@@ -69,6 +71,7 @@ class Subject:
 
     shot: int
     time_s: float
+    rotation: FloatArray
     problem: tuple[Content, str] | None = None
     same_as: int | None = None
     expected: frozenset[int] = frozenset()
@@ -190,7 +193,9 @@ class _Judge:
                 )
                 for a, b in tied
             ]  # fmt: skip
-            result = corrections([self._subjects[shot].time_s for shot in shots], equations, self._limits.attitudes)
+            times = [self._subjects[shot].time_s for shot in shots]
+            axes = _gimbal_axes([self._subjects[shot].rotation for shot in shots])
+            result = corrections(times, equations, self._limits.attitudes, gimbal_axes=axes)
             error = {shot: result.error_deg[number] for shot, number in place.items()}
             odd = {shot: float(result.odd_deg[number]) for shot, number in place.items()}
             wrong = [
@@ -313,6 +318,15 @@ def _parallax(lines: Sequence[TieLine]) -> str:
     names = ", ".join(str(line.shot) for line in apart)
     worst = max(line.parallax_deg for line in apart)
     return f"parallax: taken from elsewhere than shot {names}, the ground is displaced by up to {worst:.1f}°"
+
+
+def _gimbal_axes(rotations: Sequence[FloatArray]) -> FloatArray:
+    """The axes (n, 2, 3) about which the gimbal pitches and rolls, in the order yaw, roll, pitch: world frame."""
+    looked = np.array(rotations).reshape(-1, 3, 3)
+    # its pitch axis points to the right of the image, its roll axis lies level under the boresight
+    right = looked[:, :, 1]
+    level = np.stack([right[:, 1], -right[:, 0], np.zeros(len(looked))], axis=1)
+    return np.stack([right, level / np.maximum(np.linalg.norm(level, axis=1, keepdims=True), 1e-9)], axis=1)
 
 
 def _graph(photos: Mapping[int, Judgement], edges: Sequence[tuple[int, int, int]]) -> TieGraph:

@@ -78,6 +78,8 @@ class GimbalConfig:
         report_age_s: age of what is reported, with a mount of the kind `driver`.
         report_target: it reports its target instead of what it measures.
         steady_error_deg: pitch and yaw by which it rests beside its commands.
+        pitch_bias_deg: constant error of its pitch, measured minus true, which no report shows.
+        roll_bias_deg: likewise of its roll.
         north_off_deg: the north that it obeys, and that its reports are relative to, is so far off; 0: its reports are
             relative to the vehicle.
     """
@@ -100,6 +102,8 @@ class GimbalConfig:
     report_age_s: float = 0.0
     report_target: bool = False
     steady_error_deg: float = 0.0
+    pitch_bias_deg: float = 0.0
+    roll_bias_deg: float = 0.0
     north_off_deg: float = 0.0
 
     @property

@@ -24,6 +24,8 @@ _ANY_SIGN = {
     "wind_from_deg",
     "clock_step_s",
     "steady_error_deg",
+    "pitch_bias_deg",
+    "roll_bias_deg",
     "north_off_deg",
 }
 _NOT_ZERO = {

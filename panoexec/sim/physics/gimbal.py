@@ -252,11 +252,11 @@ class GimbalPhysics:
 
     def truth_at(self, t_s: float) -> Angles:
         """`truth` at a time at most one step from the last one."""
-        angles, rates, ahead = self.estimate, self.rates, t_s - self.time_s
+        angles, rates, ahead, c = self.estimate, self.rates, t_s - self.time_s, self.config
         return Angles(
             angles.yaw_deg - self._heading_error.at(t_s) + rates.yaw_deg_s * ahead,
-            angles.roll_deg + rates.roll_deg_s * ahead,
-            angles.pitch_deg + rates.pitch_deg_s * ahead,
+            angles.roll_deg - c.roll_bias_deg + rates.roll_deg_s * ahead,
+            angles.pitch_deg - c.pitch_bias_deg + rates.pitch_deg_s * ahead,
         )
 
     @property

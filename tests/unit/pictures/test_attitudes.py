@@ -46,6 +46,36 @@ def test_a_drifting_heading_is_no_lie() -> None:
     assert found.odd_deg.max() < 0.2
 
 
+@settings(deadline=None, max_examples=30)
+@given(
+    seed=st.integers(0, 10_000),
+    pitch=st.floats(-1, 1),
+    roll=st.floats(-1, 1),
+    liar=st.one_of(st.none(), st.integers(0, 11)),
+)
+def test_what_all_photos_share_about_the_gimbals_axes_is_its_bias(
+    seed: int, pitch: float, roll: float, liar: int | None
+) -> None:
+    rng = np.random.default_rng(seed)
+    yaw = np.radians(30.0 * np.arange(12))
+    right = np.stack([-np.sin(yaw), np.cos(yaw), 0 * yaw], axis=1)
+    ahead = np.stack([np.cos(yaw), np.sin(yaw), 0 * yaw], axis=1)
+    axes = np.stack([right, ahead], axis=1)
+    errors = pitch * right + roll * ahead + rng.normal(0, 0.02, (12, 3))
+    if liar is not None:
+        errors[liar] += [0.8, -0.6, 0.0]
+    found = corrections((2.0 * np.arange(12)).tolist(), ring_of(errors, 0.02, seed), gimbal_axes=axes)
+    assert np.allclose(found.bias_deg, (pitch, roll), atol=0.12 if liar is None else 0.3)
+    odd = {int(k) for k in np.flatnonzero(found.odd_deg > 0.4)}
+    assert odd == (set() if liar is None else {liar})
+
+
+def test_too_few_photos_tell_no_bias() -> None:
+    errors = np.tile([0.5, 0.0, 0.0], (3, 1))
+    axes = np.tile(np.eye(3)[:2], (3, 1, 1))
+    assert corrections([0.0, 2.0, 4.0], ring_of(errors, 0.01, 1), gimbal_axes=axes).bias_deg == (0.0, 0.0)
+
+
 def test_without_photos_or_ties_nothing_is_corrected() -> None:
     assert corrections([], []).error_deg.shape == (0, 3)
     alone = corrections([0.0, float("nan"), 2.0], [])

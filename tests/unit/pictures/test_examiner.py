@@ -10,6 +10,7 @@ import pytest
 from panoexec.angles import FloatArray, rotation
 from panoexec.pictures.examiner import Examiner
 from panoexec.pictures.model import BAD, Content, PhotoToCheck, Verdicts
+from panoexec.pictures.rotations import rotation_of_vector
 from panoexec.planning.model import Plan
 from tests.support.photo_sets import PhotoSet, photo_set
 from tests.unit.pictures.conftest import SCENE
@@ -80,6 +81,30 @@ def test_a_bad_photo_is_named_and_no_other(two_rows: Plan, fault: str, code: Con
     assert bad == {photo.shot for photo in photos.photos if photo.fault}
     assert verdicts.photos[3].verdict is code
     assert all(found.reason for found in verdicts.bad)
+
+
+@pytest.mark.parametrize("bias_deg", [(0.0, 0.6, 0.0), (0.0, -0.35, 0.5)])
+def test_a_constant_error_of_the_gimbal_contradicts_nothing(
+    two_rows: Plan, bias_deg: tuple[float, float, float]
+) -> None:
+    """Yaw, pitch, roll: neither at the end nor while the photos arrive; and it is told."""
+    photos = photo_set(two_rows, seed=1, bias_deg=bias_deg, faults={9: "attitude-lie=1"}, **SCENE)
+    planned = {shot.index: rotation(shot.yaw_deg, shot.pitch_deg) for shot in two_rows.shots}
+    examiner = Examiner(two_rows.camera, planned)
+    for photo in photos.photos:
+        examiner.add(PhotoToCheck(shot=photo.shot, rotation=photo.measured, time_s=photo.time_s), photo.content)
+        early = [found for found in examiner.verdicts().bad if found.settled]
+        assert {found.shot for found in early} <= {9}, [found.reason for found in early]
+    verdicts = examiner.verdicts(final=True)
+    assert [found.shot for found in verdicts.bad] == [9], "a lie is found all the same"
+    for photo in photos.photos:
+        if photo.shot == 9:
+            continue
+        told = np.radians(verdicts.photos[photo.shot].error_deg)
+        true = photo.truth
+        refined = rotation_of_vector(-told) @ photo.measured
+        up = np.degrees(np.arccos(np.clip(refined[2] @ true[2], -1, 1)))
+        assert up < 0.06, "tilt; a common heading error leaves no trace"
 
 
 def test_all_photos_one_place_off_are_refused(two_rows: Plan, clean: PhotoSet) -> None:
