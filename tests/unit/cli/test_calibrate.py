@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,10 +18,11 @@ from panoexec.sim.config import CameraConfig, GimbalConfig, SimConfig
 from tests.unit.pictures.conftest import CAMERA, plan_of
 
 
+@pytest.mark.skipif(not os.environ.get("PANOEXEC_CONTENT"), reason="PANOEXEC_CONTENT is not set")
 async def test_the_bias_of_the_simulated_gimbal_and_its_lens(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plan = plan_of({-30.0: 8})
+    plan = plan_of({-28.0: 8, -60.0: 6})
     simulation = SimConfig(
         seed=4,
         speedup=10.0,
