@@ -1,28 +1,32 @@
-"""Bring a mission here: from the drone's computer by rsync over ssh, or from a folder; without MISSION the newest one.
+"""Bring a mission here: by rsync over ssh, from the operator's page, or from a folder; without MISSION the newest one.
 
-Files that are here already are not copied again, and an interrupted transfer goes on. Every photo that the manifest
-gives a SHA-256 is verified afterwards. On the drone the user of the ssh connection must be a member of the group
-panoexec (`adduser USER panoexec`).
+By rsync and from a folder, files that are here already are not copied again. An interrupted transfer goes on, by the
+operator's page (`panoexec web`) too. Every photo that the manifest gives a SHA-256 is verified afterwards. On the drone
+the user of the ssh connection must be a member of the group panoexec (`adduser USER panoexec`).
 
 Exit code 1: photos are missing or differ from the manifest. 2: no such mission or storage. 3: rsync is missing or
-fails.
+fails, or the page does not answer.
 
 Examples:
   panoexec fetch --from pi@drone.local
   panoexec fetch 20260921T141320.000Z --from pi@drone.local:/srv/panoexec --to flown
   panoexec fetch --from /media/disk/panoexec
+  panoexec fetch --url https://drone.local:8090 --user ANNA
 """
 
 from __future__ import annotations
 
 import argparse
+import getpass
 import os
 import re
 import shutil
 import subprocess
+import sys
 from functools import partial
 from pathlib import Path
 
+from panoexec.cli.fetch_http import Page, password_of
 from panoexec.cli.output import note, print_json
 from panoexec.errors import DeviceError, PanoexecError, UsageError
 from panoexec.files import write_atomically_with
@@ -43,13 +47,14 @@ class _TransferError(DeviceError):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
     parser.add_argument("mission", nargs="?", metavar="MISSION", help="mission id (default: the newest one)")
-    parser.add_argument(
-        "--from",
-        dest="source",
-        required=True,
-        metavar="SOURCE",
-        help="[USER@]HOST, [USER@]HOST:STORAGE or a storage folder",
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument(
+        "--from", dest="source", metavar="SOURCE", help="[USER@]HOST, [USER@]HOST:STORAGE or a storage folder"
     )
+    where.add_argument("--url", metavar="URL", help="the operator's page: http://HOST:PORT or https://HOST:PORT")
+    parser.add_argument("--user", metavar="NAME", help="with --url: log in as this user of the page")
+    parser.add_argument("--password-file", type=Path, metavar="FILE", help="with --user: instead of being asked")
+    parser.add_argument("--ca-file", type=Path, metavar="FILE", help="with --url: what certifies an https server")
     parser.add_argument("--to", type=Path, default=Path(), metavar="DIR", help="where the mission is put (.)")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON document on stdout")
 
@@ -58,19 +63,9 @@ def run(args: argparse.Namespace) -> int:
     """Copy and verify."""
     if args.mission is not None and not _ID.fullmatch(args.mission):
         raise UsageError(f"{args.mission}: not a mission id; expected one like 20260921T141320.000Z")
-    folder = Path(args.source) / "missions" if Path(args.source).is_dir() else None
-    remote = "" if folder is not None else _missions_of(args.source)
-    name = args.mission or _newest(_names(folder, remote), args.source)
-    target = args.to / name
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{target}: cannot be created ({error.strerror})") from error
-    if folder is not None:
-        _copy(folder / name, target)
-    else:
-        # hidden: parts of photos and temporary files, which are being written there
-        _rsync("--archive", "--partial", "--exclude=.*", f"{remote}/{name}/", f"{target}/")
+    if args.url is None and (args.user or args.password_file or args.ca_file):
+        raise UsageError("--user, --password-file and --ca-file are for --url")
+    target = _from_page(args) if args.url is not None else _from_storage(args)
     problems = _problems(MissionDirectory(target))
     if args.json:
         print_json({"mission": str(target), "problems": problems})
@@ -81,6 +76,35 @@ def run(args: argparse.Namespace) -> int:
     if len(problems) > _SHOWN:
         note(f"… and {len(problems) - _SHOWN} more")
     return 1 if problems else 0
+
+
+def _from_page(args: argparse.Namespace) -> Path:
+    """Fetch by HTTP; returns the mission's folder."""
+    page, to = Page(args.url, ca_file=args.ca_file), Path(args.to)
+    if args.user:
+        if args.password_file is None and not sys.stdin.isatty():
+            raise UsageError("--user needs --password-file where nobody can be asked")
+        page.log_in(args.user, password_of(args.password_file) if args.password_file else getpass.getpass())
+    name = args.mission or _newest(page.missions(), f"--url {args.url}")
+    return page.fetch(name, to, note)
+
+
+def _from_storage(args: argparse.Namespace) -> Path:
+    """Copy from a folder, or by rsync; returns the mission's folder."""
+    folder = Path(args.source) / "missions" if Path(args.source).is_dir() else None
+    remote = "" if folder is not None else _missions_of(args.source)
+    name = args.mission or _newest(_names(folder, remote), f"--from {args.source}")
+    target = Path(args.to) / name
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{target}: cannot be created ({error.strerror})") from error
+    if folder is not None:
+        _copy(folder / name, target)
+    else:
+        # hidden: parts of photos and temporary files, which are being written there
+        _rsync("--archive", "--partial", "--exclude=.*", f"{remote}/{name}/", f"{target}/")
+    return target
 
 
 def _missions_of(source: str) -> str:
@@ -103,7 +127,7 @@ def _names(folder: Path | None, remote: str) -> list[str]:
 def _newest(names: list[str], source: str) -> str:
     found = sorted(name for name in names if _ID.fullmatch(name))
     if not found:
-        raise UsageError(f"--from {source}: there is no mission")
+        raise UsageError(f"{source}: there is no mission")
     return found[-1]
 
 

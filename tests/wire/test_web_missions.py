@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import json
 import shutil
@@ -12,6 +13,7 @@ from pathlib import Path
 import aiohttp
 import pytest
 
+from panoexec.cli.app import run
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
 from panoexec.store.journal import SqliteJournal
@@ -174,3 +176,14 @@ async def test_on_the_ground_there_are_no_missions_and_the_page_says_so(broker: 
         assert "no missions" in (await page.until("problem"))["text"]
         cameras = await page.until("cameras")
         assert any(camera["name"] == "dji-x5s-15mm" for camera in cameras["cameras"])
+
+
+async def test_the_command_fetch_brings_a_mission_by_http(server: Server, storage: Path, tmp_path: Path) -> None:
+    shutil.rmtree(storage / "missions" / BEGUN)
+    here = tmp_path / "here"
+    code = await asyncio.to_thread(run, ["fetch", "--url", base(server), "--to", str(here)])
+    assert code == 0
+    source = storage / "missions" / DONE
+    files = {path.relative_to(source): path.read_bytes() for path in source.rglob("*") if path.is_file()}
+    copy = here / DONE
+    assert files == {path.relative_to(copy): path.read_bytes() for path in copy.rglob("*") if path.is_file()}
