@@ -9,6 +9,7 @@ from typing import Final
 
 from aiohttp import web
 
+from panoexec import __version__
 from panoexec.web.access import COOKIE, SESSION_S, Access, LoginRefusedError, User
 from panoexec.web.fleet import Fleet
 from panoexec.web.headers import PAGE_POLICY, secured
@@ -23,7 +24,7 @@ USER: Final = web.RequestKey("user", User)
 _FRESH: Final = bool(os.environ.get("PANOEXEC_WEB_ASSETS_FRESH"))
 """Read the page's files at each request: for whoever changes them."""
 
-_OPEN: Final = frozenset({"/login", "/logout"})
+_OPEN: Final = frozenset({"/login", "/logout", "/register_service"})
 """What needs no session, beside the files of the page, which hold no secret."""
 
 _SAFE: Final = frozenset({"GET", "HEAD"})
@@ -54,6 +55,7 @@ class Pages:
         app.router.add_get("/login", self._login_page)
         app.router.add_post("/login", self._log_in)
         app.router.add_post("/logout", self._log_out)
+        app.router.add_get("/register_service", _service)
         app.router.add_get("/thumbnails/{vehicle}/{mission}/{shot}", self._thumbnail)
 
     @web.middleware
@@ -148,3 +150,20 @@ class Pages:
         response = web.Response(status=303, headers={"Location": "/login"})
         response.del_cookie(COOKIE, path="/", httponly=True, samesite="Strict", secure=self._tls)
         return response
+
+
+async def _service(request: web.Request) -> web.StreamResponse:
+    """What BlueOS shows of a page that it finds on a port."""
+    del request
+    return web.json_response(
+        {
+            "name": "panoexec",
+            "description": "Complete panoramas: plan, watch and command missions",
+            "icon": "mdi-panorama-sphere",
+            "company": "panoexec",
+            "version": __version__,
+            "webpage": "",
+            "api": "",
+            "new_page": True,
+        }
+    )
