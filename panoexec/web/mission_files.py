@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Final
+
+_SMALL: Final = 100_000
+"""Bytes of a picture in a list, which may be long."""
 
 
 def stitched_file(folder: Path) -> Path | None:
@@ -13,11 +17,12 @@ def stitched_file(folder: Path) -> Path | None:
 
 
 def preview_file(folder: Path) -> Path | None:
-    """A small JPEG for a list: of the panorama, else of the shot in the middle."""
+    """A JPEG for a list: of the panorama if that is small, else of the shot in the middle."""
     stitched = folder / "stitch" / "panorama.jpg"
-    if stitched.is_file():
-        return stitched
+    size = stitched.stat().st_size if stitched.is_file() else 0
     thumbnails = sorted((folder / "thumbnails").glob("*.jpg"))
+    if 0 < size <= _SMALL or (size and not thumbnails):
+        return stitched
     return thumbnails[len(thumbnails) // 2] if thumbnails else None
 
 

@@ -167,6 +167,20 @@ async def test_only_a_finished_mission_is_deleted_and_only_when_it_is_confirmed(
     assert {path.name for path in missions.iterdir()} == {BEGUN}
 
 
+@pytest.mark.skipif(shutil.which("nona") is None, reason="Hugin's tools are not installed")
+async def test_stitching_tells_its_end_to_everybody_and_why_it_failed(server: Server) -> None:
+    async with browser(server, name="TABLET-1") as asking, browser(server) as other:
+        await asking.say(type="stitch", mission_id=DONE)
+        await asking.say(type="stitch", mission_id=DONE)
+        assert "being stitched" in (await asking.until("problem"))["text"]
+        begun = await other.until("stitch")
+        assert (begun["stage"], begun["who"], begun["mission_id"]) == ("running", "TABLET-1", DONE)
+        failed = await other.until("stitch", lambda one: one["stage"] != "running")
+        assert failed["stage"] == "failed"  # its one photo is none
+        assert failed["text"]
+        await other.until("library")
+
+
 async def test_on_the_ground_there_are_no_missions_and_the_page_says_so(broker: Broker) -> None:
     async with web_server(broker.port) as server, browser(server) as page:
         assert not (await page.until("hello"))["missions"]
