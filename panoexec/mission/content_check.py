@@ -316,6 +316,7 @@ class ContentCheck:
                 groups=sum(1 for group in graph.groups if not set(group) <= loose),
                 bridges=tuple(shot for pair in graph.bridges for shot in pair),
                 geometry_only=graph.geometry_only,
+                geometry_bound_deg=verdicts.geometry_bound_deg if graph.geometry_only else math.nan,
                 bad=tuple(sorted(found.shot for found in verdicts.bad)),
                 unchecked=tuple(unchecked),
             )

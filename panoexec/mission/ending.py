@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from panoexec.mission.context import MissionContext
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import MissionRecord
@@ -130,7 +132,8 @@ def _proved(record: MissionRecord) -> str:
         return ""
     parts = []
     if content.geometry_only:
-        parts.append(f"{len(content.geometry_only)} photos are proved by geometry only")
+        bound = "" if math.isnan(content.geometry_bound_deg) else f" (within {content.geometry_bound_deg:.2g}°)"
+        parts.append(f"{len(content.geometry_only)} photos are proved by geometry only{bound}")
     if content.unchecked:
         parts.append(f"the content of {len(content.unchecked)} is unchecked")
     failed = [shot for shot, tied in record.bridge_ties().items() if len(tied) < 2]

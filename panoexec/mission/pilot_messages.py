@@ -99,14 +99,37 @@ def pilot_message_for(event: ev.Event, record: MissionRecord) -> PilotMessage | 
         case ev.GimbalContradicted():
             return PilotMessage(f"gimbal's north is {event.north_off_deg:+.0f} deg off", Severity.WARNING)
         case ev.MissionFinished(state=MissionState.COMPLETE):
-            return PilotMessage(f"complete, {done}, gimbal released", Severity.NOTICE)
+            return PilotMessage(f"complete, {done}, {_proof(record)}", Severity.NOTICE)
         case ev.MissionFinished(state=MissionState.ABORTED):
             return PilotMessage(f"aborted at {done}, gimbal released", Severity.WARNING)
         case ev.MissionFinished(state=MissionState.INCOMPLETE):
-            return PilotMessage(f"ended, {len(event.missing)} of {record.shots_total} missing", Severity.WARNING)
+            return PilotMessage(f"ended, {_lacking(event, record)}", Severity.WARNING)
         case ev.MissionFinished():
             return PilotMessage(f"failed at {done}: {event.reason}", Severity.ERROR)
     return None
+
+
+def _proof(record: MissionRecord) -> str:
+    """What is proved by less than geometry and content together; that the gimbal is free if nothing is."""
+    content = record.content
+    if content is None:
+        return "gimbal released"
+    if content.unchecked:
+        return f"content of {len(content.unchecked)} unchecked"
+    if content.geometry_only:
+        return f"{len(content.geometry_only)} by geometry only"
+    return f"tied in {content.groups} groups" if content.groups > 1 else "geometry and content good"
+
+
+def _lacking(event: ev.MissionFinished, record: MissionRecord) -> str:
+    """Which part is incomplete: shots, geometry, content."""
+    bad = len(record.bad_photos())
+    parts = [f"{len(event.missing)} of {record.shots_total} missing"] if event.missing else []
+    if not event.missing and not bad:
+        parts.append("geometry has a hole")
+    if bad:
+        parts.append(f"content of {bad} bad")
+    return ", ".join(parts)
 
 
 class PilotMessenger:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Final
+
+import numpy as np
 
 from panoexec.angles import FloatArray
 
@@ -29,6 +32,11 @@ class Content(StrEnum):
     """It did not reach this computer, or was not examined."""
 
 
+LEAST_TIED: Final = 6
+"""Fewer tied photos tell nothing about the others' attitudes."""
+_EXPECTED_BOUND_DEG: Final = 2.2
+"""Three times tilts of 0.08° and a heading of 0.7° (`panoexec.pictures.attitudes.AttitudeErrors`)."""
+_LEAST_BOUND_DEG: Final = 0.05
 BAD = frozenset({Content.UNREADABLE, Content.EXPOSURE, Content.BLURRED, Content.UNTIED, Content.CONTRADICTS})
 """Verdicts with which a photo does not count."""
 
@@ -109,6 +117,19 @@ class Verdicts:
 
     photos: dict[int, Judgement] = field(default_factory=dict)
     graph: TieGraph = field(default_factory=TieGraph)
+
+    @property
+    def geometry_bound_deg(self) -> float:
+        """Bound (three standard deviations) of the attitude error of a photo that hangs on its measured attitude.
+
+        From how far the measured attitudes of the tied photos are from those that their content implies, the heading
+        relative to theirs; with fewer than `LEAST_TIED` of them, from what attitudes are expected to err.
+        """
+        errors = np.array([one.error_deg for one in self.photos.values() if one.verdict is Content.OK and one.ties])
+        if len(errors) < LEAST_TIED:
+            return _EXPECTED_BOUND_DEG
+        errors[:, 2] -= errors[:, 2].mean()
+        return max(_LEAST_BOUND_DEG, 3 * float(np.sqrt((errors**2).sum(axis=1).mean())))
 
     @property
     def bad(self) -> list[Judgement]:

@@ -223,6 +223,7 @@ def _content_json(record: MissionRecord) -> dict[str, Any]:
         "ties": [list(pair) for pair in zip(edges[::2], edges[1::2], strict=True)],
         "bridges": [list(pair) for pair in zip(bridges[::2], bridges[1::2], strict=True)],
         "geometry_only": list(content.geometry_only),
+        "geometry_bound_deg": _number(content.geometry_bound_deg),
         "bad": [{"shot": shot, "code": code} for shot, code in bad.items()],
         "unchecked": list(content.unchecked),
         "bridge_shots": [

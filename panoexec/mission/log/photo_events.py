@@ -118,6 +118,7 @@ class ContentJudged(Event):
         groups: number of groups of photos that are tied to each other; photos that nothing ties are not counted.
         bridges: ties without which a group falls apart, in pairs one after the other.
         geometry_only: shots that hang on their measured attitude alone.
+        geometry_bound_deg: bound (three standard deviations) of the error of these attitudes, relative to the others.
         bad: shots whose photo does not count.
         unchecked: shots whose photo was not examined.
     """
@@ -126,5 +127,6 @@ class ContentJudged(Event):
     groups: Whole = 0
     bridges: tuple[Whole, ...] = ()
     geometry_only: tuple[Whole, ...] = ()
+    geometry_bound_deg: Number = NAN
     bad: tuple[Whole, ...] = ()
     unchecked: tuple[Whole, ...] = ()

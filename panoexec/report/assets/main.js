@@ -94,7 +94,7 @@ function content(found) {
     check(!found.bad.length, found.bad.length ? `${plural(found.bad.length, "photo")} do not count for their content` : "Every examined photo is readable, exposed, sharp and where its attitude says", found.bad.length ? found.bad.slice(0, 12).map((bad) => `shot ${bad.shot}: ${bad.code}`).join(", ") : null),
     check(found.connected, found.connected ? `${plural(found.ties.length, "tie")} connect the photos` : `The photos are tied in ${found.groups} groups that only geometry connects`, found.bridges.length ? `${plural(found.bridges.length, "tie")} would part them if lost` : null),
     ...(found.bridge_shots || []).map(({ shot, between, ties }) => check(ties.length === 2 ? true : null, `Bridge shot ${shot} ties ${ties.length === 2 ? `shots ${between.join(" and ")}` : ties.length ? `shot ${ties[0]} alone, not shot ${between.find((end) => end !== ties[0])}` : `neither shot ${between.join(" nor ")}`}`, null)),
-    found.geometry_only.length ? check(null, `${plural(found.geometry_only.length, "photo")} are proved by geometry only`, `nothing in their overlaps can be tied: shot ${names(found.geometry_only)}`) : null,
+    found.geometry_only.length ? check(null, `${plural(found.geometry_only.length, "photo")} are proved by geometry only${isNumber(found.geometry_bound_deg) ? `, within ${degrees(found.geometry_bound_deg)}` : ""}`, `nothing in their overlaps can be tied: shot ${names(found.geometry_only)}`) : null,
     found.unchecked.length ? check(null, `The content of ${plural(found.unchecked.length, "photo")} is unchecked`, `shot ${names(found.unchecked)}`) : null,
   ];
 }

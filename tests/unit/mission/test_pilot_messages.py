@@ -5,16 +5,25 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from panoexec.devices import Severity
 from panoexec.errors import MissionError
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.log.states import MissionState
-from panoexec.mission.pilot_messages import FLUSH_TIMEOUT_S, PAUSE_TEXTS, PilotMessage, PilotMessenger
+from panoexec.mission.pilot_messages import (
+    FLUSH_TIMEOUT_S,
+    PAUSE_TEXTS,
+    PilotMessage,
+    PilotMessenger,
+    pilot_message_for,
+)
 from panoexec.store.session import Devices, MissionSession, create_mission, open_mission
 from tests.unit.fakes.virtual import run_virtual
-from tests.unit.fakes.world import World, a_world, some_settings
+from tests.unit.fakes.world import World, a_plan, a_world, some_settings
 
 Script = Callable[[World, MissionSession], Awaitable[None]]
 LINE = 50
@@ -225,3 +234,29 @@ def test_an_autopilot_that_keeps_the_gimbal_in_the_same_mode_is_told_of(tmp_path
         session.mission.commands.abort()
 
     assert heard(tmp_path, script)[2:3] == ["WARNING Pano: paused: another station has the gimbal"]
+
+
+def ended(state: MissionState, *, missing: tuple[int, ...] = (), bad: bool = False, **content: Any) -> str:
+    """The last message of a mission with this record."""
+    record = MissionRecord(mission_id="m", shots=a_plan().shots)
+    record.content = ev.ContentJudged(**content) if content else None
+    if bad:
+        record.bad_photos = lambda: {2: "blurred", 3: "untied"}  # type: ignore[method-assign]
+    event = ev.MissionFinished(reason="", accepted=4 - len(missing), missing=missing, state=state)
+    message = pilot_message_for(event, record)
+    assert message is not None
+    assert len(f"Pano: {message.text}") <= LINE
+    return message.text
+
+
+def test_the_last_message_tells_which_part_is_lacking() -> None:
+    complete, incomplete = MissionState.COMPLETE, MissionState.INCOMPLETE
+    assert ended(complete) == "complete, 0/4, gimbal released"
+    assert ended(complete, groups=1) == "complete, 0/4, geometry and content good"
+    assert ended(complete, groups=1, geometry_only=(1, 3)) == "complete, 0/4, 2 by geometry only"
+    assert ended(complete, groups=2) == "complete, 0/4, tied in 2 groups"
+    assert ended(complete, groups=1, unchecked=(1,)) == "complete, 0/4, content of 1 unchecked"
+    assert ended(incomplete, missing=(1, 2)) == "ended, 2 of 4 missing"
+    assert ended(incomplete, missing=(1,), bad=True) == "ended, 1 of 4 missing, content of 2 bad"
+    assert ended(incomplete, bad=True) == "ended, content of 2 bad"
+    assert ended(incomplete, groups=1) == "ended, geometry has a hole"

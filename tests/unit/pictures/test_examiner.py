@@ -123,8 +123,21 @@ def test_water_hangs_on_geometry_alone(two_rows: Plan) -> None:
     loose = set(verdicts.graph.geometry_only)
     assert loose
     assert loose <= {shot.index for shot in two_rows.shots if shot.row == 1}, "the lower row looks at water"
+    # the bound of their attitude error holds for their true attitudes, the heading relative to the tied photos
+    turns = {photo.shot: photo.measured @ photo.truth.T for photo in photos.photos}
+    axes = {
+        shot: np.degrees([off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1]]) / 2
+        for shot, off in turns.items()
+    }
+    heading = float(np.mean([axis[2] for shot, axis in axes.items() if shot not in loose]))
+    for shot in loose:
+        assert np.linalg.norm(axes[shot] - [0, 0, heading]) <= verdicts.geometry_bound_deg < 2.2
     for shot in loose:
         assert not any(tie.tied for pair, tie in examiner.ties.items() if shot in pair)
+
+
+def test_without_ties_the_bound_is_what_attitudes_are_expected_to_err() -> None:
+    assert Verdicts().geometry_bound_deg == 2.2
 
 
 def test_verdicts_wait_for_the_neighbours(two_rows: Plan) -> None:
