@@ -8,9 +8,19 @@ export function draftOf(plan) {
   return { camera: "", overlap: overlap_h === overlap_v ? overlap_h : Math.max(overlap_h, overlap_v), elevation: [...elevation], azimuth: [...azimuth] };
 }
 export const isCircle = (azimuth) => azimuth[1] - azimuth[0] >= 360 - 1e-9;
+/* The fields of a request. A preset says what the form does not show (reference, tolerances, …); the form wins. */
 export const fieldsOf = (draft) => ({
-  ...(draft.camera ? { camera: draft.camera } : {}), overlap: draft.overlap, elevation_deg: [...draft.elevation], azimuth_deg: [...draft.azimuth], ...(draft.reference ? { reference: draft.reference } : {}),
+  ...(draft.preset ? { preset: draft.preset } : {}), ...(draft.camera ? { camera: draft.camera } : {}), ...(draft.ownOverlap === false ? {} : { overlap: draft.overlap }),
+  elevation_deg: [...draft.elevation], azimuth_deg: [...draft.azimuth],
 });
+/* The draft that a preset asks for, beside what it leaves open. */
+export function presetDraft(draft, { preset, fields }) {
+  const { camera, overlap, overlap_h, overlap_v } = fields, both = [overlap_h, overlap_v].filter((one) => typeof one === "number");
+  return {
+    preset, camera: typeof camera === "string" ? camera : "", overlap: overlap ?? (both.length ? Math.max(...both) : draft.overlap), ownOverlap: both.length === 0,
+    elevation: [...(fields.elevation_deg || draft.elevation)], azimuth: [...(fields.azimuth_deg || draft.azimuth)],
+  };
+}
 export const sameDraft = (a, b) => JSON.stringify(fieldsOf(a)) === JSON.stringify(fieldsOf(b));
 
 /* Why the draft cannot be planned, by field; empty if it can. */

@@ -2,7 +2,7 @@
 import { colour, el, isNumber, minus, percent, plural } from "/assets/pages/elements.js";
 import { azimuthOf, direction, elevationOf, levelMatrix, outlineOf } from "/assets/pages/sphere_math.js";
 import { ask, toast } from "./dialogs.js";
-import { certificateLine, draftOf, dragged, faults, fieldsOf, guess, handles, isCircle, missionOf, sameDraft, startReason } from "./draft.js";
+import { certificateLine, draftOf, dragged, faults, fieldsOf, guess, handles, isCircle, missionOf, presetDraft, sameDraft, startReason } from "./draft.js";
 import { clock } from "./model.js";
 import { button, figure, redraw } from "./render.js";
 import { mapCard } from "./shotmap.js";
@@ -13,7 +13,7 @@ const QUICK = [["Ground to +30°", [-90, 30]], ["Ground only", [-90, -10]], ["Ho
 
 export class PlanView {
   constructor(page, vehicle) {
-    Object.assign(this, { page, vehicle, title: `Plan · ${vehicle}`, draft: null, answer: null, asking: null, known: null, started: null, problem: "" });
+    Object.assign(this, { page, vehicle, title: `Plan · ${vehicle}`, draft: null, answer: null, asking: null, known: null, started: null, problem: "", presets: [] });
     const { map, toolbar, node } = mapCard("Map of the planned footprints. The edges of the band have handles; numbers for them are beside the map. Arrow keys turn the map.", {
       id: "plan-ball", picked: () => {}, follow: false, grab: (d, at) => this.grab(at), layers: [() => this.drawBand()],
     });
@@ -27,6 +27,7 @@ export class PlanView {
     this.node = el("div", { class: "grid two" }, el("h1", { class: "wide" }, "Plan a mission"), el("section", { class: "card", "aria-label": "Map of the plan" }, toolbar, node, el("p", { class: "muted small" }, "Drag the round handles to set the band; drag the sphere to turn it.")),
       el("div", { class: "column" }, this.form, this.verdict, this.act));
     this.ask();
+    this.presetsId = page.link.command(vehicle, "presets");
   }
   get data() { const { vehicle } = this.page.model; return vehicle && vehicle.id === this.vehicle ? vehicle : null; }
   close() { clearTimeout(this.timer); }
@@ -71,6 +72,12 @@ export class PlanView {
       const answer = this.page.model.answers.get(this.asking.id);
       if (answer) this.take(answer);
     }
+    const presets = this.presetsId && this.page.model.answers.get(this.presetsId);
+    if (presets && presets.stage === "done") {
+      this.presetsId = null;
+      this.presets = presets.data.presets;
+      if (this.draft) this.buildForm();
+    }
     if (this.started) {
       const answer = this.page.model.answers.get(this.started);
       if (answer && answer.stage === "done") { this.started = null; this.page.go(`/v/${this.vehicle}`); return; }
@@ -82,7 +89,6 @@ export class PlanView {
   buildForm() {
     const { model } = this.page, number = (key, label, value) => el("span", { class: "field" }, el("label", { for: `n-${key}` }, label), el("input", { type: "number", id: `n-${key}`, step: 1, inputmode: "numeric", value: String(value), oninput: () => this.typed() }));
     const cameras = [["", "as the vehicle is configured"], ...model.cameras.map((camera) => [camera.name, camera.name])];
-    const presets = model.hello && model.hello.presets ? Object.entries(model.hello.presets) : [];
     const name = this.form.querySelector("#n-name")?.value || "";
     this.circle = el("button", { class: "plain", id: "circle", onclick: () => this.toggleCircle() }, "Whole circle");
     this.slider = el("input", { type: "range", id: "n-overlap", min: 5, max: 80, step: 1, value: Math.round(100 * this.draft.overlap), oninput: () => this.typed() });
@@ -90,8 +96,8 @@ export class PlanView {
     this.select = el("select", { id: "n-camera", onchange: () => this.typed() }, cameras.map(([value, text]) => el("option", { value, selected: value === this.draft.camera }, text)));
     this.form.replaceChildren(
       el("div", { class: "chips", role: "group", "aria-label": "Quick choices" },
-        presets.map(([key, preset]) => el("button", { onclick: () => this.preset(preset) }, key)),
-        QUICK.map(([text, band]) => el("button", { onclick: () => this.change({ ...this.draft, elevation: [...band], azimuth: [-180, 180] }) }, text))),
+        this.presets.map((one) => el("button", { class: "preset", "aria-pressed": String(one.preset === this.draft.preset), "data-preset": one.preset, onclick: () => this.preset(one) }, one.name || one.preset)),
+        QUICK.map(([text, band]) => el("button", { onclick: () => this.change({ ...this.draft, preset: "", ownOverlap: true, elevation: [...band], azimuth: [-180, 180] }) }, text))),
       el("div", { class: "field" }, el("label", { for: "n-name" }, "Name of the mission"), el("input", { type: "text", id: "n-name", maxlength: 80, value: name, placeholder: "for example: chapel, west side", autocomplete: "off" })),
       el("div", { class: "field" }, el("label", { for: "n-camera" }, "Camera"), this.select),
       el("div", { class: "field" }, el("div", { class: "row" }, el("label", { for: "n-overlap" }, "Overlap of neighbours"), this.sliderText), this.slider),
@@ -111,6 +117,7 @@ export class PlanView {
     this.slider.value = String(Math.round(100 * this.draft.overlap));
     this.slider.setAttribute("aria-valuetext", percent(this.draft.overlap, 0));
     this.sliderText.textContent = percent(this.draft.overlap, 0);
+    for (const chip of this.form.querySelectorAll(".preset")) chip.setAttribute("aria-pressed", String(chip.dataset.preset === this.draft.preset));
     this.circle.setAttribute("aria-pressed", String(isCircle(this.draft.azimuth)));
     const names = { low: "Lowest", high: "Highest", left: "From", right: "To", overlap: "Overlap" };
     this.fault.textContent = Object.entries(wrong).map(([key, why]) => `${names[key]} ${why}.`).join(" ");
@@ -118,14 +125,18 @@ export class PlanView {
   }
   typed() {
     const read = (key) => { const { value } = this.form.querySelector(`#n-${key}`); return value.trim() === "" ? NaN : Number(value); };
-    this.change({ ...this.draft, camera: this.select.value, overlap: Number(this.slider.value) / 100, elevation: [read("low"), read("high")], azimuth: [read("left"), read("right")] });
+    const overlap = Number(this.slider.value);
+    this.change({ ...this.draft, camera: this.select.value, ...(overlap === Math.round(100 * this.draft.overlap) ? {} : { overlap: overlap / 100, ownOverlap: true }), elevation: [read("low"), read("high")], azimuth: [read("left"), read("right")] });
   }
   toggleCircle() {
     const yaw = Math.round(this.map.yaw);
     this.change({ ...this.draft, azimuth: isCircle(this.draft.azimuth) ? [yaw - 60, yaw + 60] : [-180, 180] });
   }
-  preset(preset) {
-    this.change({ ...this.draft, ...(preset.camera ? { camera: preset.camera } : {}), ...(isNumber(preset.overlap) ? { overlap: preset.overlap } : {}), elevation: preset.elevation_deg || this.draft.elevation, azimuth: preset.azimuth_deg || this.draft.azimuth });
+  preset(one) {
+    this.change(presetDraft(this.draft, one));
+    this.select.value = this.draft.camera;
+    const field = this.form.querySelector("#n-name");
+    if (!field.value) field.value = one.name || "";
   }
   places() {
     const basis = this.map.basis();
@@ -206,7 +217,7 @@ export class PlanView {
     if (this.answer !== answer || this.started) return;
     this.problem = "";
     const name = this.form.querySelector("#n-name").value.trim();
-    this.started = this.page.link.command(this.vehicle, "start", { plan: answer.plan, name });
+    this.started = this.page.link.command(this.vehicle, "start", { plan: answer.plan, ...(answer.draft.preset ? { preset: answer.draft.preset } : {}), ...(name ? { name } : {}) });
     toast("command", `Start: sent, ${plural(answer.images, "image")}`);
     this.draw();
   }
