@@ -24,6 +24,7 @@ from panoexec.daemon.live_config import LiveConfig, Reloader
 from panoexec.daemon.missions import Missions
 from panoexec.daemon.sdnotify import SystemdNotifier
 from panoexec.daemon.state_publisher import TWIN, StatePublisher
+from panoexec.daemon.station_requests import StationRequests
 from panoexec.daemon.storage import StorageMonitor
 from panoexec.daemon.thumbnails import Thumbnails
 from panoexec.daemon.vehicle_link import VehicleLink
@@ -129,6 +130,9 @@ class Daemon:
         }
         if (mqtt := self.mqtt) is not None:
             pulses["mqtt link"] = lambda: mqtt.pulse_s
+        self.vehicle.station_requests = StationRequests(
+            config=self._config, take=self._take, say=self.vehicle.say, boot_id=self._boot_id
+        )
         self._watchdog = Watchdog(notifier=notifier, pulses=pulses)
         self._mqtt_task: asyncio.Task[None] | None = None
 
@@ -237,7 +241,9 @@ class Daemon:
             raise RefusedRequestError("refused", TWIN)
 
     def _respond(self, incoming: Incoming, payload: bytes) -> None:
-        if self.mqtt is not None:
+        if incoming.reply is not None:
+            incoming.reply(payload)
+        elif self.mqtt is not None:
             self.mqtt.respond(incoming, payload)
 
     def _refresh(self) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import structlog
 from panoexec.adapters.camera.camera_kind import OpenCamera
 from panoexec.adapters.camera.open_camera import open_camera
 from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
+from panoexec.adapters.link.command_inbox import CommandInbox
 from panoexec.adapters.link.connection_url import ConnectionUrl
 from panoexec.adapters.link.first_heartbeats import OpenedConnection
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
@@ -22,6 +23,7 @@ from panoexec.adapters.linked_vehicle import LinkedVehicle, file_hosts, linked_v
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import Clock
 from panoexec.daemon.errors import VehicleNotReadyError
+from panoexec.daemon.station_requests import StationRequests
 from panoexec.devices import VehicleStatus
 from panoexec.errors import DeviceError
 from panoexec.inputs.config import Config
@@ -46,6 +48,7 @@ class VehicleLink:
         devices: the devices for missions; None until all were found.
         reason: what is missing, "" if nothing is.
         pulse_s: time.monotonic of the task's last progress, for the watchdog.
+        station_requests: executes the commands of MAVLink ground stations; None: nobody does.
     """
 
     def __init__(
@@ -67,6 +70,7 @@ class VehicleLink:
         self.devices: Devices | None = None
         self.reason = "not connected yet"
         self.pulse_s = time.monotonic()
+        self.station_requests: StationRequests | None = None
         self._config = config
         self._clock = clock
         self._changed = changed
@@ -184,6 +188,12 @@ class VehicleLink:
             )
             link = linked.link
             self._linked, self._link, self._gimbal, self._vehicle = linked, link, linked.gimbal, linked.vehicle
+            if self.station_requests is not None:
+                inbox = CommandInbox(
+                    link, commanders=self._config.vehicle.commanders, execute=self.station_requests.execute
+                )
+                serving = asyncio.create_task(inbox.run(), name="station commands")
+                stack.push_async_callback(_ended, serving)
             await self._find(link, self._gimbal)
             self._camera = await stack.enter_async_context(
                 open_camera(self._config.camera, link, spool=self._config.storage.path / "incoming")
@@ -199,6 +209,11 @@ class VehicleLink:
             while True:
                 self._look()
                 await asyncio.sleep(_LOOK_S)
+
+    async def say(self, text: str) -> None:
+        """Send text to the ground stations, if there is a link."""
+        if self._link is not None:
+            await self._link.requests.say(text)
 
     async def _find(self, link: MavsdkLink, gimbal: MavsdkGimbal) -> None:
         """Return when autopilot and gimbal are found."""
@@ -247,6 +262,11 @@ class VehicleLink:
     def _forget(self) -> None:
         self._linked = None
         self.devices = self._link = self._gimbal = self._camera = self._vehicle = None
+
+
+async def _ended(task: asyncio.Task[None]) -> None:
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
 
 
 def _fields(ok: bool, age_s: float) -> LinkFields:

@@ -70,6 +70,7 @@ class VehicleSection(Section):
     baud: Annotated[int, Field(ge=1200, le=4_000_000)] = 921_600
     system_id: Annotated[int, Field(ge=1, le=255)] | None = None
     component_id: Annotated[int, Field(ge=1, le=255)] = 191
+    commanders: tuple[Annotated[int, Field(ge=1, le=255)], ...] | None = None
     yaw_rate_deg_s: Positive | None = None
     yaw_acceleration_deg_s2: Positive | None = None
 

@@ -11,6 +11,7 @@ import itertools
 import math
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -40,6 +41,7 @@ class Incoming:
         expires_s: expiry time (time.monotonic); infinity without an expiry.
         arrival: number of the message in the order of arrival, across connections.
         overtakes: commands that can set the vehicle in motion (`MOVING`), arrived earlier and still waiting.
+        reply: takes the response of a request that did not come by MQTT.
     """
 
     command: str
@@ -52,6 +54,7 @@ class Incoming:
     expires_s: float = math.inf
     arrival: int = 0
     overtakes: frozenset[str] = frozenset()
+    reply: Callable[[bytes], None] | None = None
 
     @property
     def sender(self) -> str:
@@ -71,6 +74,11 @@ class Incoming:
 def expired() -> RefusedRequestError:
     """The error for a request whose message expiry has passed."""
     return RefusedRequestError("expired", "the request's message expiry passed before it was executed")
+
+
+def next_arrival() -> int:
+    """The number of a request that arrives now, for `Incoming.arrival`."""
+    return next(_arrivals)
 
 
 class _Arrived(aiomqtt.Message):

@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import structlog
 from mavsdk.plugins.mavlink_direct import MavlinkDirect
@@ -241,6 +241,22 @@ class MavsdkLink:
     def on(self, name: str, handler: Handler) -> Callable[[], None]:
         """Call `handler` in MAVSDK's thread with each message of that name; returns a function that unsubscribes it."""
         return self._hub.on(name, handler)
+
+    def on_any_system(self, name: str, handler: Handler) -> Callable[[], None]:
+        """The same with messages of other systems, too, such as ground stations; one handler for a name."""
+
+        def deliver(message: Any) -> None:
+            fields = message.fields_json
+            handler(MavMessage(name, message.component_id, fields, self.clock.monotonic(), system_id=message.system_id))
+
+        self._session.on_others(name, deliver)
+        off = self.on(name, handler)
+
+        def ends() -> None:
+            self._session.on_others(name, lambda _message: None)
+            off()
+
+        return ends
 
     def when_attached(self, callback: Callable[[], None]) -> Callable[[], None]:
         """Call `callback` on the loop once plugins can be created, possibly now; returns a function that removes it."""

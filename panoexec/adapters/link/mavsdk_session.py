@@ -50,6 +50,7 @@ class MavsdkSession:
         self._connection: Any = None
         self._plugins: dict[Any, Any] = {}
         self._watched: dict[int, tuple[System, MavlinkDirect | None]] = {}
+        self._others: dict[str, Callable[[Any], None]] = {}
         self._next_open_s = 0.0
         self._delay_s = _REOPEN_S
 
@@ -132,6 +133,23 @@ class MavsdkSession:
                 direct = MavlinkDirect(system)
                 self._watched[system_id] = system, direct
                 direct.subscribe_message("HEARTBEAT", lambda message, _user_data: _take_beat(message, heard))
+                for name in self._others:
+                    self._subscribe(direct, name)
+
+    def on_others(self, name: str, handler: Callable[[Any], None]) -> None:
+        """Call `handler` in MAVSDK's thread with each MavlinkMessage of that name from other systems."""
+        known = name in self._others
+        self._others[name] = handler
+        for _, direct in self._watched.values():
+            if direct is not None and not known:
+                self._subscribe(direct, name)
+
+    def _subscribe(self, direct: MavlinkDirect, name: str) -> None:
+        def deliver(message: Any, _user_data: Any) -> None:
+            keep_thread_state()
+            self._others[name](message)
+
+        direct.subscribe_message(name, deliver)
 
     def known(self, system_id: int) -> System | None:
         """That system, None until `watch_systems` has seen it with an autopilot."""
