@@ -312,6 +312,8 @@ class Server:
             elif self._limits is None:
                 simulation.advance(simulation.clock.now())
             simulation.receiver(message, frame)
+            if isinstance(link, UdpLink) and simulation.forwards(message):
+                link.forward(frame)
             link.flush()
 
         link.receiver = receive

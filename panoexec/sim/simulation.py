@@ -16,7 +16,7 @@ from panoexec.sim.mavlink.payload import Payload
 from panoexec.sim.mavlink.px4_trigger import Px4Trigger
 from panoexec.sim.mavlink.trigger import CameraTrigger
 from panoexec.sim.mavlink.vehicle import THIEF, Vehicle
-from panoexec.sim.mavlink.wire import Link, LocalLink, Receiver
+from panoexec.sim.mavlink.wire import Link, LocalLink, Message, Receiver
 from panoexec.sim.photos.darkroom import ExposedPhoto
 from panoexec.sim.photos.exposure import Settings
 from panoexec.sim.photos.mixer import PhotoMixer
@@ -170,6 +170,10 @@ class Simulation:
             return 0.0
         age = min(self.timeline.now_s - gimbal.vehicle_yaw_time_s, _HEADING_HOLD_S)
         return gimbal.vehicle_yaw_deg + gimbal.vehicle_yaw_rate_deg_s * age
+
+    def forwards(self, message: Message) -> bool:
+        """Whether a message from one peer on the ground goes on to the others."""
+        return self.vehicle is not None and self.vehicle.forwards(message)
 
     def advance(self, to_s: float, *, budget_s: float = _CHUNK_S) -> None:
         """Run physics and events up to simulated time `to_s`, limited to `budget_s` of wall time."""

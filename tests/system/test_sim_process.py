@@ -18,10 +18,11 @@ from panoexec.cli.app import run
 from panoexec.errors import LinkError, UsageError
 from panoexec.sim.config import SimConfig
 from panoexec.sim.mavlink.dialect import mavlink
-from panoexec.sim.mavlink.wire import attach
+from panoexec.sim.mavlink.wire import UdpLink, attach
 from panoexec.sim.pacing import TIME_COMPONENT, TIME_MESSAGE, time_from_fields
 from panoexec.sim.process import free_udp_port, running_simulator
 from tests.waiting import wait_until
+from tests.wire.sim_peer import EmbeddedPeer
 
 SIMULATE = [sys.executable, "-m", "panoexec", "simulate"]
 
@@ -302,3 +303,31 @@ def alive(pid: int) -> bool:
     except (FileNotFoundError, ProcessLookupError):
         return False
     return state != "Z"
+
+
+async def test_what_one_ground_station_says_is_heard_by_the_other() -> None:
+    """As autopilots forward it; commands to the autopilot alone are not."""
+    frames = mavlink.MAVLink(None, 1, 191)
+    text = mavlink.MAVLink_statustext_message(5, b"Pano: complete").pack(frames)
+    command = mavlink.MAVLink_command_long_message(1, 1, 512, 0, 148, 0, 0, 0, 0, 0, 0).pack(frames)
+    simulation = EmbeddedPeer(SimConfig()).simulation
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as daemon,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station,
+    ):
+        for one in (daemon, station):
+            one.bind(("127.0.0.1", 0))
+            one.setblocking(False)
+        link = UdpLink.sending_to("ground", "127.0.0.1", [one.getsockname()[1] for one in (daemon, station)])
+        link.receiver = lambda message, frame: link.forward(frame) if simulation.forwards(message) else None
+        link.send(text, None)
+        link.flush()
+        loop = asyncio.get_running_loop()
+        (_, address) = await loop.sock_recvfrom(daemon, 1000)
+        assert await loop.sock_recv(station, 1000) == text
+        for frame in (command, text):
+            await loop.sock_sendto(daemon, frame, ("127.0.0.1", address[1]))
+        assert await loop.sock_recv(station, 1000) == text
+        with pytest.raises(BlockingIOError):
+            daemon.recv(1000)
+        link.close()

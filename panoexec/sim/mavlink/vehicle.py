@@ -233,6 +233,12 @@ class Vehicle:
             if target in (0, COMPONENT_ID):
                 self._handle(self._ground, message)
 
+    def forwards(self, message: Message) -> bool:
+        """Whether a message from the ground goes on to others on the ground: it is not for the autopilot alone."""
+        if self.is_silent or self.link_is_lost():
+            return False
+        return bool(getattr(message, "target_component", 0) != COMPONENT_ID)
+
     def receive_payload(self, message: Message, frame: bytes) -> None:
         """Handle a message from the payload's link."""
         if self.is_silent:

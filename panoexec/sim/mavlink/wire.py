@@ -149,6 +149,7 @@ class UdpLink(_SocketLink):
     def __init__(self, name: str, sock: socket.socket, remotes: Sequence[tuple[str, int]]) -> None:
         super().__init__(name, sock)
         self._learns = not remotes
+        self._source: tuple[str, int] | None = None
         self._remotes = tuple(remotes)
 
     @staticmethod
@@ -175,8 +176,15 @@ class UdpLink(_SocketLink):
             raise _cannot_listen("UDP", host, port, error) from error
         return UdpLink(name, sock, ())
 
-    def _write(self, data: bytearray) -> None:
+    def forward(self, frame: bytes) -> None:
+        """Send a frame that has just been received to the other peers, as autopilots do."""
+        self.flush()
+        self._write(bytearray(frame), besides=self._source)
+
+    def _write(self, data: bytearray, *, besides: tuple[str, int] | None = None) -> None:
         for remote in self._remotes:
+            if remote == besides:
+                continue
             try:
                 self._socket.sendto(data, remote)
             except OSError:
@@ -192,8 +200,9 @@ class UdpLink(_SocketLink):
             except OSError:
                 # the peer's "port unreachable" comes back as an error of the next call
                 continue
+            self._source = (source[0], source[1])
             if self._learns:
-                self._remotes = ((source[0], source[1]),)
+                self._remotes = (self._source,)
             self._feed(data)
 
 
