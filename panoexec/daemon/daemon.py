@@ -98,7 +98,9 @@ class Daemon:
                 on_connected=self._connected,
                 boot_id=self._boot_id,
             )
-        self.vehicle = vehicle or VehicleLink(config, clock=clock, changed=self._changed.set, opened=opened)
+        self.vehicle = vehicle or VehicleLink(
+            self._config, clock=clock, changed=self._changed.set, in_use=lambda: self.missions.busy, opened=opened
+        )
         self._thumbnails = Thumbnails(config=self._config, mqtt=self.mqtt)
         events = EventPublisher(mqtt=self.mqtt, changed=self._changed.set, beside=self._thumbnails.publish)
         self._files = CameraFiles(self._config, self.vehicle)

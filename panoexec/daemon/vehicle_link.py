@@ -41,6 +41,10 @@ _NAMES: Final = ("autopilot", "gimbal", "camera")
 _log = structlog.get_logger(__name__)
 
 
+class _ReconfiguredError(Exception):
+    """Gimbal or camera are configured differently from what the link was opened with."""
+
+
 class VehicleLink:
     """Opens the link, discovers gimbal and camera, and retries forever; `run` it in a task.
 
@@ -53,25 +57,30 @@ class VehicleLink:
 
     def __init__(
         self,
-        config: Config,
+        config: Callable[[], Config],
         *,
         clock: Clock,
         changed: Callable[[], None] = lambda: None,
+        in_use: Callable[[], bool] = lambda: False,
         opened: OpenedConnection | None = None,
     ) -> None:
         """Create it.
 
         Args:
-            config: the daemon's configuration.
+            config: returns the daemon's configuration as of now. The link is opened again when that of gimbal or
+                camera changes.
             clock: the mission clock.
             changed: called when a link is established or lost.
+            in_use: whether a mission needs the devices as they are.
             opened: the connection, if it is open already.
         """
         self.devices: Devices | None = None
         self.reason = "not connected yet"
         self.pulse_s = time.monotonic()
         self.station_requests: StationRequests | None = None
-        self._config = config
+        self._newest = config
+        self._in_use = in_use
+        self._config = config()
         self._clock = clock
         self._changed = changed
         self._opened = opened
@@ -162,13 +171,16 @@ class VehicleLink:
                 await self._hold()
             except DeviceError as error:
                 self._missing(str(error))
+            except _ReconfiguredError:
+                self._missing("gimbal or camera are configured anew: connecting again")
             if time.monotonic() - began > _BACKOFF_MOST_S:
                 patience_s = _BACKOFF_S
             await asyncio.sleep(patience_s)
             patience_s = min(2 * patience_s, _BACKOFF_MOST_S)
 
     async def _hold(self) -> None:
-        """One link, until it fails permanently."""
+        """One link, until it fails permanently or is configured otherwise."""
+        self._config = self._newest()
         self._url = url = await asyncio.to_thread(connection_of, self._config.vehicle)
         opened, self._opened = self._opened, None
         # idle streams are checked once per second of real time, which is a long silence at a speed-up
@@ -240,8 +252,15 @@ class VehicleLink:
                 return
 
     def _look(self) -> None:
-        """Update the watchdog pulse and report changes."""
+        """Update the watchdog pulse and report changes.
+
+        Raises:
+            _ReconfiguredError: the link is to be opened again.
+        """
         self.pulse_s = time.monotonic()
+        now, opened = self._newest(), self._config
+        if (now.gimbal, now.camera) != (opened.gimbal, opened.camera) and not self._in_use():
+            raise _ReconfiguredError
         if self._gimbal is not None:
             self._gimbal.feed.ingest()  # while nobody else reads, on the loop's own wake-ups
         oks, doubt = tuple(ok for ok, _ in self._standing()), self.doubt

@@ -29,7 +29,7 @@ class StandIn(VehicleLink):
     """A vehicle that is there at once and does what it is told."""
 
     def __init__(self, config: Config, *, clock: SystemClock) -> None:
-        super().__init__(config, clock=clock)
+        super().__init__(lambda: config, clock=clock)
         self._gimbal_stand_in = FakeGimbal(clock=clock)
         self.devices = Devices(
             gimbal=self._gimbal_stand_in, camera=FakeCamera(clock=clock), vehicle=FakeVehicle(clock=clock)

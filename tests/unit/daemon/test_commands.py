@@ -75,7 +75,7 @@ async def a_desk(folder: Path, boot_id: str = "one", refresh: Any = None) -> Asy
             commands = Commands(
                 config=lambda: config,
                 missions=missions,
-                vehicle=VehicleLink(config, clock=clock),
+                vehicle=VehicleLink(lambda: config, clock=clock),
                 transactions=transactions,
                 group=group,
                 respond=respond,

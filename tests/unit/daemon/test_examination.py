@@ -61,7 +61,7 @@ class Daemon:
     def __init__(self, folder: Path, *, connected: bool = True) -> None:
         config = Config.model_validate({"storage": {"path": folder}})
         self.missions = Missions(config=lambda: config, clock=SystemClock(), sink=Sink(), changed=lambda: None)
-        vehicle = (Connected if connected else VehicleLink)(config, clock=SystemClock())
+        vehicle = (Connected if connected else VehicleLink)(lambda: config, clock=SystemClock())
         self.examination = Examination(
             config=lambda: config, config_file=folder / "c.toml", missions=self.missions, vehicle=vehicle
         )
