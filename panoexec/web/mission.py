@@ -235,7 +235,7 @@ def _start(shot: dict[str, Any], attempt: dict[str, Any], event: Mapping[str, An
 
 def _reject(shot: dict[str, Any], attempt: dict[str, Any], event: Mapping[str, Any]) -> None:
     attempt["verdict"] = "interrupted" if event.get("type") == "shot_interrupted" else "rejected"
-    attempt |= {"code": text(event.get("code"), 40), "reason": text(event.get("reason"))}
+    attempt |= {"by": "", "code": text(event.get("code"), 40), "reason": text(event.get("reason"))}
     if shot["accepted"] == attempt["n"]:
         before = [one["n"] for one in shot["attempts"] if one["verdict"] == "accepted"]
         shot["accepted"] = max(before, default=None)
