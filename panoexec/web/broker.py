@@ -43,11 +43,15 @@ _log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Document:
-    """A message of a vehicle: `kind` is `status`, `state`, `plan` or `event`; None for an empty payload."""
+    """A message of a vehicle: `kind` is `status`, `state`, `plan` or `event`; None for an empty payload.
+
+    `retained`: the broker kept it, so that it tells nothing of now.
+    """
 
     vehicle: str
     kind: str
     document: Any
+    retained: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,7 +152,7 @@ class BrokerLink:
             self._changed(up=True)
             try:
                 async for message in client.messages:
-                    self._take(str(message.topic), message.payload)
+                    self._take(str(message.topic), message.payload, retained=bool(message.retain))
             finally:
                 self._client = None
 
@@ -173,8 +177,8 @@ class BrokerLink:
                 with suppress(aiomqtt.MqttError):
                     await self._publish(client, vehicle, "get", {"transaction": uuid.uuid4().hex}, expiry_s=10)
 
-    def _take(self, topic: str, payload: object) -> None:
-        heard = parsed(topic.removeprefix(f"{self.prefix}/"), payload)
+    def _take(self, topic: str, payload: object, *, retained: bool) -> None:
+        heard = parsed(topic.removeprefix(f"{self.prefix}/"), payload, retained=retained)
         if heard is not None:
             self._known.add(heard.vehicle)
             if isinstance(heard, Document) and (heard := self._followed(heard)) is None:
@@ -241,19 +245,22 @@ class BrokerLink:
         return await client.send(f"{base}/request/{command}", payload, qos=qos, retain=False, properties=properties)
 
 
-def parsed(topic: str, payload: object) -> Heard | None:  # noqa: PLR0911  (one kind of message after the other)
+def parsed(topic: str, payload: object, *, retained: bool = False) -> Heard | None:  # noqa: PLR0911  (one kind of message after the other)
     """What a message means; None for anything unexpected.
 
     Args:
         topic: below the prefix.
         payload: bytes of the message.
+        retained: whether the broker kept it.
     """
     vehicle, _, rest = topic.partition("/")
     if not isinstance(payload, bytes) or not is_vehicle(vehicle) or len(payload) > _LARGEST.get(rest, _LARGEST_OTHER):
         return None
     if rest == "status":
         text = payload.decode(errors="replace")
-        return Document(vehicle=vehicle, kind="status", document=text) if text in {"online", "offline"} else None
+        if text not in {"online", "offline"}:
+            return None
+        return Document(vehicle=vehicle, kind="status", document=text, retained=retained)
     if rest.startswith("thumbnail/"):
         return _thumbnail(vehicle, rest.split("/"), payload)
     document: Any = None
@@ -265,7 +272,7 @@ def parsed(topic: str, payload: object) -> Heard | None:  # noqa: PLR0911  (one 
     if rest in _KINDS:
         if document is not None and not isinstance(document, dict):
             return None
-        return Document(vehicle=vehicle, kind=rest, document=document)
+        return Document(vehicle=vehicle, kind=rest, document=document, retained=retained)
     command = rest.removeprefix("response/")
     if command != rest and "/" not in command and isinstance(document, dict):
         return Response(vehicle=vehicle, command=command, document=document)

@@ -45,7 +45,7 @@ class Vehicle:
         status: `online`, `offline`, or "" while unknown.
         state: the newest state; None before it.
         mission: None without one.
-        heard_s: time.monotonic of the last message that was not retained from before, or of the first.
+        heard_s: time.monotonic of the last message; None before one came that the broker had not kept.
         changed: whether its summary changed since it was last told.
         next_plan: a plan that came while the mission had one: that of the next mission, whose id is not known yet.
     """
@@ -55,7 +55,7 @@ class Vehicle:
         self.status = ""
         self.state: dict[str, Any] | None = None
         self.mission: Mission | None = None
-        self.heard_s = time.monotonic()
+        self.heard_s: float | None = None
         self.changed = True
         self.next_plan: dict[str, Any] | None = None
         self._boot = ("", -1)
@@ -71,9 +71,9 @@ class Vehicle:
         return outdated
 
     @property
-    def silent_s(self) -> float:
-        """Seconds since it was heard."""
-        return round(time.monotonic() - self.heard_s, 1)
+    def silent_s(self) -> float | None:
+        """Seconds since it was heard; None if only what the broker kept is known."""
+        return None if self.heard_s is None else round(time.monotonic() - self.heard_s, 1)
 
     def summary(self) -> dict[str, Any]:
         """See `panoexec.web.protocol`."""
@@ -105,7 +105,8 @@ class Fleet:
         vehicle = self._vehicle(message.vehicle)
         if vehicle is None:
             return
-        vehicle.heard_s = time.monotonic()
+        if not (isinstance(message, Document) and (message.retained or message.document == "offline")):
+            vehicle.heard_s = time.monotonic()
         if isinstance(message, Response):
             self.on_response(message)
         elif isinstance(message, Thumbnail):
@@ -133,7 +134,6 @@ class Fleet:
     def snapshot(self, vehicle_id: str, log: list[dict[str, Any]]) -> str:
         """The message `vehicle`; of one that was never heard, an empty one."""
         vehicle = self.vehicles.get(vehicle_id) or Vehicle(vehicle_id)
-        known = vehicle_id in self.vehicles
         return encode(
             "vehicle",
             vehicle=vehicle_id,
@@ -143,7 +143,7 @@ class Fleet:
             marks=unfolded(vehicle.state),
             mission=None if vehicle.mission is None else vehicle.mission.document(),
             log=log,
-            silent_s=vehicle.silent_s if known else None,
+            silent_s=vehicle.silent_s,
         )
 
     def summaries(self) -> list[dict[str, Any]]:

@@ -31,7 +31,8 @@ Server to browser:
 `problem`   `text`: the browser's last message was refused
 ========== ===========================================================================================================
 
-A *summary* of a vehicle: `id`, `status`, `state` (payload of the topic, or null), `silent_s`.
+A *summary* of a vehicle: `id`, `status`, `state` (payload of the topic, or null), `silent_s` (seconds since it was
+heard, null if only what the broker kept is known).
 
 `may`: for each command "" if it can be sent now, else the reason why not, in words.
 

@@ -234,6 +234,16 @@ async def test_thumbnails_that_were_missed_are_asked_for_once(broker: Broker) ->
             assert len(vehicle.requests) == 1
 
 
+async def test_what_the_broker_kept_does_not_count_as_heard(broker: Broker) -> None:
+    async with fake_vehicle(broker.port):
+        pass  # gone, with state and status retained
+    async with web_server(broker.port) as server, browser(server, follow="drone") as page:
+        await page.until("beat")
+        assert {one["silent_s"] for one in (*page.of("vehicle"), *page.of("beat"))} == {None}
+        async with fake_vehicle(broker.port):
+            assert (await page.until("beat", lambda one: one["silent_s"] is not None))["silent_s"] < 5
+
+
 async def test_a_fleet_is_listed_and_changes_are_told_together(broker: Broker) -> None:
     async with web_server(broker.port) as server, browser(server) as page:
         async with fake_vehicle(broker.port, "one") as one, fake_vehicle(broker.port, "two") as two:
