@@ -17,7 +17,8 @@ from tests.system.daemon import SPEEDUP, serving
 from tests.wire.broker import needs_mosquitto, running_broker
 
 pytestmark = needs_mosquitto
-BAND = {"elevation_deg": [-40, 0], "azimuth_deg": [-60, 60], "name": "chapel, west"}
+BAND: dict[str, Any] = {"elevation_deg": [-40, 0], "azimuth_deg": [-60, 60], "name": "chapel, west"}
+BAND_OF_PLAN = {name: value for name, value in BAND.items() if name != "name"}
 
 
 async def test_a_page_flies_a_mission_and_shows_what_the_manifest_says(tmp_path: Path) -> None:
@@ -57,9 +58,6 @@ async def test_a_page_flies_a_mission_and_shows_what_the_manifest_says(tmp_path:
                         jpeg = await picture.read()
                     assert jpeg.startswith(b"\xff\xd8")
                     assert len(jpeg) <= 20_000
-
-
-BAND_OF_PLAN = {name: value for name, value in BAND.items() if name != "name"}
 
 
 def compare(snapshot: dict[str, Any], manifest: dict[str, Any]) -> None:
