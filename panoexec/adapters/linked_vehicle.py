@@ -5,7 +5,7 @@ One place, so that what the doctor examines is what the daemon flies with.
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +15,7 @@ from panoexec.adapters.link.connection_url import ConnectionUrl
 from panoexec.adapters.link.file_urls import FileUrls
 from panoexec.adapters.link.first_heartbeats import OpenedConnection
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
+from panoexec.adapters.link.stream_health import DEFAULT_STREAMS, Stream
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import Clock
 from panoexec.inputs.config import Config
@@ -45,6 +46,7 @@ async def linked_vehicle(
     throttling: bool = False,
     opened: OpenedConnection | None = None,
     guarded: bool = False,
+    streams: Sequence[Stream] = DEFAULT_STREAMS,
 ) -> AsyncIterator[LinkedVehicle]:
     """Open the link that the configuration describes.
 
@@ -56,6 +58,7 @@ async def linked_vehicle(
         throttling: see `MavsdkLink`.
         opened: see `MavsdkLink`.
         guarded: see `MavsdkLink`.
+        streams: see `MavsdkLink`.
 
     Raises:
         LinkError: the port is in use, or the device cannot be opened.
@@ -70,6 +73,7 @@ async def linked_vehicle(
         throttling=throttling,
         opened=opened,
         guarded=guarded,
+        streams=streams,
         files=FileUrls(folders=file_folders(config), hosts=file_hosts(config, url)),
     )
     async with (

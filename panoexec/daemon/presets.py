@@ -28,6 +28,8 @@ def preset_problems(config: Config) -> list[str]:
     problems = []
     if len(config.presets) > _MOST:
         problems.append(f"presets: there are {len(config.presets)}, at most {_MOST} can be kept")
+    if config.rc.preset is not None and config.rc.preset not in config.presets:
+        problems.append(f"rc.preset: there is no [presets.{config.rc.preset}]")
     for name, fields in config.presets.items():
         if not _ID.fullmatch(name):
             problems.append(f"presets.{name}: {name!r} is not an id: use 1 to 40 of A-Z a-z 0-9 _ -")

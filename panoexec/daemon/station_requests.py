@@ -55,6 +55,10 @@ class StationRequests:
         verb, fields, wrong = self.request_of(command)
         if wrong:
             return False, self._refused(verb or "command", wrong)
+        return verb in _SLOW, self.submit(verb, fields)
+
+    def submit(self, verb: str, fields: dict[str, Any]) -> Awaitable[Result]:
+        """Execute a request; its result. The pilot hears why it was refused."""
         self._count += 1
         transaction = f"mavlink-{self._boot_id}-{self._count}"
         answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
@@ -74,7 +78,7 @@ class StationRequests:
                 reply=reply,
             )
         )
-        return verb in _SLOW, self._result(verb, answer)
+        return self._result(verb, answer)
 
     def request_of(self, command: StationCommand) -> tuple[str, dict[str, Any], str]:
         """The request's command and its fields, or what is wrong.

@@ -7,6 +7,7 @@ import contextlib
 import math
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 import structlog
@@ -14,13 +15,15 @@ import structlog
 from panoexec.adapters.camera.camera_kind import OpenCamera
 from panoexec.adapters.camera.open_camera import open_camera
 from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
-from panoexec.adapters.link.command_inbox import CommandInbox
+from panoexec.adapters.link.command_inbox import CommandInbox, Result
 from panoexec.adapters.link.connection_url import ConnectionUrl
 from panoexec.adapters.link.first_heartbeats import OpenedConnection
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.serial_ports import connection_of
+from panoexec.adapters.link.stream_health import DEFAULT_STREAMS
 from panoexec.adapters.linked_vehicle import LinkedVehicle, file_hosts, linked_vehicle
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
+from panoexec.adapters.rc_switches import RC_STREAM, RcSwitches
 from panoexec.clock import Clock
 from panoexec.daemon.errors import VehicleNotReadyError
 from panoexec.daemon.station_requests import StationRequests
@@ -84,6 +87,7 @@ class VehicleLink:
         self._clock = clock
         self._changed = changed
         self._opened = opened
+        self._submitted: set[asyncio.Future[Result]] = set()
         self._linked: LinkedVehicle | None = None
         self._link: MavsdkLink | None = None
         self._gimbal: MavsdkGimbal | None = None
@@ -108,6 +112,26 @@ class VehicleLink:
     def turn_limits(self) -> TurnLimits:
         """How fast the autopilot turns the vehicle; as it was told last, unknown if the vehicle does not pan."""
         return self._turn_limits
+
+    @property
+    def _channels(self) -> dict[int, Callable[[], None]]:
+        """What the switches of the transmitter do."""
+        rc, requests = self._config.rc, self.station_requests
+        if requests is None:
+            return {}
+        start = {} if rc.preset is None else {"preset": rc.preset}
+        actions = {rc.start_channel: ("start", start), rc.abort_channel: ("abort", {"reason": "RC switch"})}
+        return {
+            channel: partial(self._submit, requests, *action)
+            for channel, action in actions.items()
+            if channel is not None
+        }
+
+    def _submit(self, requests: StationRequests, verb: str, fields: dict[str, str]) -> None:
+        _log.info("switch of the transmitter", request=verb)
+        task = asyncio.ensure_future(requests.submit(verb, fields))
+        self._submitted.add(task)
+        task.add_done_callback(self._submitted.discard)
 
     @property
     def linked(self) -> LinkedVehicle | None:
@@ -196,6 +220,7 @@ class VehicleLink:
                     throttling=throttling,
                     opened=opened,
                     guarded=True,
+                    streams=(*DEFAULT_STREAMS, RC_STREAM) if self._channels else DEFAULT_STREAMS,
                 )
             )
             link = linked.link
@@ -206,6 +231,7 @@ class VehicleLink:
                 )
                 serving = asyncio.create_task(inbox.run(), name="station commands")
                 stack.push_async_callback(_ended, serving)
+                stack.callback(RcSwitches(link, self._channels).close)
             await self._find(link, self._gimbal)
             self._camera = await stack.enter_async_context(
                 open_camera(self._config.camera, link, spool=self._config.storage.path / "incoming")

@@ -88,6 +88,20 @@ class VehicleSection(Section):
         return self
 
 
+class RcSection(Section):
+    """`[rc]`: switches of the pilot's transmitter."""
+
+    start_channel: Annotated[int, Field(ge=1, le=18)] | None = None
+    abort_channel: Annotated[int, Field(ge=1, le=18)] | None = None
+    preset: str | None = None
+
+    @model_validator(mode="after")
+    def _two_switches(self) -> Self:
+        if self.start_channel is not None and self.start_channel == self.abort_channel:
+            raise ValueError(f"start_channel and abort_channel are both {self.start_channel}: give each its own")
+        return self
+
+
 class GimbalSection(Section):
     """`[gimbal]`: properties of the gimbal that it does not report itself."""
 
@@ -382,6 +396,7 @@ class Config(Section):
     mqtt: MqttSection = MqttSection()
     storage: StorageSection = StorageSection()
     web: WebSection = WebSection()
+    rc: RcSection = RcSection()
     log: LogSection = LogSection()
     presets: dict[str, dict[str, Any]] = {}
     """Requests with a name; `panoexec.daemon.presets` checks them by the model of the request."""

@@ -28,6 +28,7 @@ _SENSORS = bitmask(
         "SENSOR_Z_ALTITUDE_CONTROL",
         "SENSOR_XY_POSITION_CONTROL",
         "SENSOR_MOTOR_OUTPUTS",
+        "SENSOR_RC_RECEIVER",
         "AHRS",
         "PREARM_CHECK",
     )
@@ -61,6 +62,7 @@ class Telemetry:
         has_fix: Callable[[], bool] = lambda: True,
         has_position: Callable[[], bool] = lambda: True,
     ) -> None:
+        self._channels_us = [1500, 1500, 1000, 1500, *(1000,) * 14]  # a transmitter: sticks at rest, switches low
         self._config = config
         self._clock = clock
         self._now = now
@@ -87,6 +89,7 @@ class Telemetry:
             "AUTOPILOT_VERSION": self.autopilot_version,
             "HOME_POSITION": self.home_position,
             "EXTENDED_SYS_STATE": self.extended_sys_state,
+            "RC_CHANNELS": self.rc_channels,
             "AUTOPILOT_STATE_FOR_GIMBAL_DEVICE": self.state_for_gimbal,
         }
         if self._config.autopilot == "ardupilot":
@@ -224,6 +227,17 @@ class Telemetry:
             round(frac * 100),
             *(0,) * 6,
         )
+
+    def override_channels(self, message: Message) -> None:
+        """RC_CHANNELS_OVERRIDE (70): takes the place of the transmitter; 0 and 65535 leave a channel as it is."""
+        for number in range(1, len(self._channels_us) + 1):
+            value = getattr(message, f"chan{number}_raw", 0)
+            if value not in {0, _UNKNOWN_CELL}:
+                self._channels_us[number - 1] = value
+
+    def rc_channels(self) -> Message:
+        """RC_CHANNELS (65)."""
+        return mavlink.MAVLink_rc_channels_message(self._boot_ms(), len(self._channels_us), *self._channels_us, 254)
 
     def battery_status(self) -> Message:
         """BATTERY_STATUS (147)."""

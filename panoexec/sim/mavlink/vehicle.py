@@ -120,6 +120,11 @@ class Vehicle:
             if trigger is not None:
                 component.builders.update(trigger.builders())
         self._parameters = Parameters(config)
+        self._setters: dict[str, Callable[[Message], None]] = {
+            "GIMBAL_MANAGER_SET_PITCHYAW": self.manager.set_pitchyaw,
+            "GIMBAL_MANAGER_SET_ATTITUDE": self.manager.set_attitude,
+            "RC_CHANNELS_OVERRIDE": self._telemetry.override_channels,
+        }
         self._target_repeater = Repeater(timeline, self.manager.send_target)
         if config.mount == "driver":
             Repeater(timeline, self.manager.poll_driver).start(1 / config.gimbal.report_hz)
@@ -268,10 +273,8 @@ class Vehicle:
                 result = self._command(source, command)
                 if result is not None:
                     source.acknowledge(command, result)
-        elif kind == "GIMBAL_MANAGER_SET_PITCHYAW":
-            self.manager.set_pitchyaw(message)
-        elif kind == "GIMBAL_MANAGER_SET_ATTITUDE":
-            self.manager.set_attitude(message)
+        elif kind in self._setters:
+            self._setters[kind](message)
         elif kind == "TIMESYNC":
             if message.tc1 == 0:
                 source.send(mavlink.MAVLink_timesync_message(self.boot_ms() * 1_000_000, message.ts1))
