@@ -5,13 +5,17 @@ BIN     := $(VENV)/bin
 ARGS    ?=
 WORKERS ?= 4
 
-.PHONY: dry-run experiment test test-all check format bench deb release lock audit install uninstall clean help
+.PHONY: dry-run demo experiment test test-all check format bench deb release lock audit install uninstall clean help
 
 help:            ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
 
 dry-run: $(VENV)/.sim     ## fly a complete mission on the embedded simulated vehicle (ARGS="--speedup 4 …")
 	$(BIN)/panoexec dry-run --camera dji-x5s-15mm --overlap 0.15 --elevation -90 30 $(ARGS)
+
+demo: $(VENV)/.sim        ## broker, simulated drone, daemon and operator's page, until Ctrl-C (ARGS="--speedup 4 …")
+	@.ci/setup broker
+	$(BIN)/panoexec demo $(ARGS)
 
 experiment: $(VENV)/.sim  ## reproduce the paper's simulation (installs hugin-tools; ARGS="--scenario all --seeds 5")
 	@.ci/setup hugin
@@ -65,7 +69,7 @@ $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.sim: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[sim,report]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[sim,report,web]'
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
