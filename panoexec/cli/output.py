@@ -88,6 +88,17 @@ def completeness(fraction: float) -> str:
     return percent(fraction, digits)
 
 
+def in_words(seconds: float) -> str:
+    """A duration as `36 s`, `4 min 30 s` or `1 h 5 min`."""
+    total = round(seconds)
+    if total < 60:
+        return f"{total} s"
+    if total < 3600:
+        return f"{total // 60} min {total % 60} s"
+    total = round(seconds / 60)
+    return f"{total // 60} h {total % 60} min"
+
+
 def minutes(seconds: float) -> str:
     """A duration as `m:ss`, or `h:mm:ss`."""
     total = round(seconds)

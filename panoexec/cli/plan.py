@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from panoexec.cli.numbers import count, positive
-from panoexec.cli.output import minutes, note, percent, print_facts, print_json, print_table
+from panoexec.cli.output import in_words, note, percent, print_facts, print_json, print_table
 from panoexec.cli.plan_map import check_plot_path, plot_plan
 from panoexec.cli.planning_options import (
     add_camera_arguments,
@@ -124,9 +124,7 @@ def show_plan(plan: Plan, profile: CameraProfile, distances_m: Sequence[float]) 
         facts.append(("lower bound", f"{plan.lower_bound} images (solid angle)"))
     if plan.estimate is not None:
         width, height = plan.estimate.panorama_px
-        facts.append(
-            ("duration", f"{minutes(plan.estimate.duration_s)} min:s ({plan.estimate.slew_deg:.0f}° of slews)")
-        )
+        facts.append(("duration", f"{in_words(plan.estimate.duration_s)} ({plan.estimate.slew_deg:.0f}° of slews)"))
         facts.append(("panorama", f"{width} × {height} px as a whole sphere ({width * height / 1e9:.2f} gigapixel)"))
     facts.append(("resolution", ", ".join(f"{camera.ground_resolution_cm(d):.2g} cm at {d:g} m" for d in distances_m)))
     if profile.min_interval_s:

@@ -3,7 +3,13 @@
 const { mission, counts, certificate, timeline, photos, stitch } = data;
 const STATES = { complete: "good", incomplete: "warn", paused: "warn", aborted: "bad", failed: "bad" };
 const pill = (text, kind) => el("span", { class: `pill ${kind || ""}` }, text);
-const when = (stamp) => (stamp ? stamp.replace("T", " ").replace(/\.\d+/, "").replace("Z", " UTC") : null);
+const when = (stamp) => {
+  if (!stamp) return null;
+  const utc = stamp.replace("T", " ").replace(/\.\d+/, "").replace("Z", " UTC");
+  const date = new Date(stamp);
+  if (Number.isNaN(date.getTime()) || date.getTimezoneOffset() === 0) return utc;
+  return `${utc} (${date.toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" })} local)`;
+};
 
 function head() {
   const place = mission.position, spot = isNumber(place.latitude_deg)
@@ -226,7 +232,7 @@ function main() {
   if (attempts.some((item) => item.times)) {
     card("timeline", "Time by phase", "Each column is one attempt; the horizontal line is its physical limit: the least time that gimbal, settle time, exposure and camera interval allow. Red dots are rejected attempts.", totals,
       legend([["slew", "slew"], ["settle", "settle"], ["expose", "expose"], ["wait", "wait"], ...(timeline.totals_s.paused ? [["paused", "paused"]] : [])]), columns,
-      el("p", { class: "lead", style: { margin: "8px 0 0" } }, "Measured: start, settled, end of the exposure. The slew is computed as the least possible time; the rest before the trigger counts as settling, or as waiting if the camera's interval ended last." + (Math.abs(timeline.pace - 1) > 0.05 ? ` Simulated time, ${timeline.pace.toFixed(1)} times faster than real time.` : "")));
+      el("p", { class: "lead", style: { margin: "8px 0 0" } }, "Measured: start, settled, end of the exposure. The slew is computed as the least possible time; the rest before the trigger counts as settling, or as waiting if the camera's interval ended last." + (Math.abs(timeline.pace - 1) > 0.05 ? ` Simulated time: a simulated second took ${(1 / timeline.pace).toFixed(timeline.pace > 5 ? 2 : 1)} s.` : "")));
     drawTotals(totals);
     drawTimeline(columns);
   } else card("timeline", "Time by phase", "No attempt has begun.");
