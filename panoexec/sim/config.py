@@ -142,6 +142,7 @@ class CameraConfig:
         trigger_min_told: the autopilot tells that parameter.
         files: where its reports say that its photos are: in a `folder` of this computer, on its server at loopback
             (`http`), or served by MAVLink FTP (`mftp`).
+        file_kb: least size of a photo's file, in kB: comments in it fill the rest.
         files_kb_s: how fast it serves them by HTTP, in kB/s; 0: at once.
         definition: where it says that its camera definition is: `none`, on its server at loopback (`http`), or served
             by MAVLink FTP (`mftp`). With one, its settings can be made, and until then it meters each photo by itself.
@@ -170,6 +171,7 @@ class CameraConfig:
     trigger_fails: bool = False
     trigger_min_told: bool = True
     files: CameraFiles = "folder"
+    file_kb: float = 0.0
     files_kb_s: float = 0.0
     definition: CameraDefinition = "none"
 

@@ -412,6 +412,7 @@ async def _darkroom(config: SimConfig) -> AsyncIterator[Darkroom | None]:
         scene=config.scene,
         seed=config.seed,
         scene_kind=config.scene_kind,
+        file_kb=camera.file_kb,
     )
     # the exposure is metered by the first photo, for which the mission waits a bounded time
     await darkroom.start(wait=config.camera_link == "gphoto2" or camera.definition != "none")

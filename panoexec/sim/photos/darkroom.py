@@ -69,7 +69,14 @@ class Darkroom:
     """
 
     def __init__(
-        self, camera: Camera, width_px: int, *, scene: Path | None, seed: int, scene_kind: str = "city"
+        self,
+        camera: Camera,
+        width_px: int,
+        *,
+        scene: Path | None,
+        seed: int,
+        scene_kind: str = "city",
+        file_kb: float = 0.0,
     ) -> None:
         self._setup = {
             "camera": dataclasses.asdict(camera),
@@ -77,6 +84,7 @@ class Darkroom:
             "scene": str(scene) if scene else None,
             "seed": seed,
             "scene_kind": scene_kind,
+            "file_kb": file_kb,
         }
         self._process: asyncio.subprocess.Process | None = None
         self._idle = asyncio.Event()
@@ -191,7 +199,7 @@ def _work() -> None:
         job = json.loads(line)
         started = time.monotonic()
         try:
-            last = _develop(renderer, camera, setup["width_px"], job, last)
+            last = _develop(renderer, camera, setup, job, last)
         except PanoexecError as error:
             _answer({"path": job["path"], "error": str(error)})
         else:
@@ -213,11 +221,11 @@ def _renderer(setup: dict[str, Any]) -> Any:
     )
 
 
-def _develop(renderer: Any, camera: Camera, width_px: int, job: dict[str, Any], last: bytes) -> bytes:
+def _develop(renderer: Any, camera: Camera, setup: dict[str, Any], job: dict[str, Any], last: bytes) -> bytes:
     """Write a photo; returns the file's content, which is `last` again for a stale one."""
     from panoexec.angles import rotation  # noqa: PLC0415
     from panoexec.formats.xmp import Position  # noqa: PLC0415
-    from panoexec.sim.photos.jpeg import PhotoMetadata, jpeg_bytes  # noqa: PLC0415
+    from panoexec.sim.photos.jpeg import PhotoMetadata, jpeg_bytes, padded  # noqa: PLC0415
     from panoexec.sim.photos.spoiling import spoiled_file, spoiled_image  # noqa: PLC0415
 
     if job["is_stale"] and last:
@@ -243,10 +251,10 @@ def _develop(renderer: Any, camera: Camera, width_px: int, job: dict[str, Any], 
         iso=job["iso"],
         manual_white_balance=job["manual_white_balance"],
     )
-    image = renderer.render(camera, poses, width_px)
+    image = renderer.render(camera, poses, setup["width_px"])
     for fault, size, seed in job["spoils"]:
         image = spoiled_image(image, fault, size, seed=seed)
-    content = jpeg_bytes(image, metadata)
+    content = padded(jpeg_bytes(image, metadata), round(1000 * setup["file_kb"]))
     for fault, _, seed in job["spoils"]:
         content = spoiled_file(content, fault, seed=seed)
     # no fsync: a simulated photo need not survive a power loss

@@ -77,6 +77,22 @@ def jpeg_bytes(image: Image, metadata: PhotoMetadata, *, quality: int = 90) -> b
     return with_xmp(buffer.getvalue(), packet(properties))
 
 
+def padded(content: bytes, size: int) -> bytes:
+    """A JPEG of at least that many bytes: comments before its picture fill the rest."""
+    missing = size - len(content)
+    if missing <= 0:
+        return content
+    comments = []
+    while missing > 0:
+        length = min(65533, max(0, missing - 4))  # a segment has its marker and its length beside its content
+        comments.append(b"\xff\xfe" + (length + 2).to_bytes(2, "big") + bytes(length))
+        missing -= length + 4
+    at = 2
+    while content[at + 1] != 0xDA:  # behind the headers, so that these are found in the file's first bytes
+        at += 2 + int.from_bytes(content[at + 2 : at + 4], "big")
+    return content[:at] + b"".join(comments) + content[at:]
+
+
 def write_jpeg(path: Path, image: Image, metadata: PhotoMetadata, *, quality: int = 90) -> int:
     """Write a photo atomically.
 

@@ -22,17 +22,17 @@ from typing import Any, Final, Self
 import structlog
 
 from panoexec.adapters.camera.camera_kind import CameraKind, OpenCamera
-from panoexec.adapters.camera.capture import Capture, Report, Source
+from panoexec.adapters.camera.capture import Capture
 from panoexec.adapters.camera.settings.locked_settings import LockedSettings
-from panoexec.adapters.camera.tethered.child import CallFailedError, CameraProcess
 from panoexec.adapters.camera.tethered.files import PhotoFiles
 from panoexec.adapters.camera.tethered.holder import CameraHolder
 from panoexec.adapters.camera.tethered.patience import Patience
-from panoexec.adapters.camera.tethered.photos import SCHEME, Photo, PhotoBook
+from panoexec.adapters.camera.tethered.photos import SCHEME, Photo
+from panoexec.adapters.camera.tethered.triggers import Triggers
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
-from panoexec.clock import Clock, SystemClock, VehicleClock, work
-from panoexec.devices import CaptureEvidence, EvidenceLevel, PendingCapture, RecalledPhotos
-from panoexec.errors import DependencyError, DeviceError, LinkError, PhotoFileError, to_install
+from panoexec.clock import Clock
+from panoexec.devices import EvidenceLevel, PendingCapture, RecalledPhotos
+from panoexec.errors import DependencyError, DeviceError, PhotoFileError, to_install
 from panoexec.formats.photo_settings import PhotoExif, read_settings
 from panoexec.inputs.config import CameraSection, LockSection
 
@@ -94,16 +94,17 @@ class TetheredCamera:
         self._wanted_spool = spool
         self._spool = Path()
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
-        self.book = PhotoBook(self._patience.late_s)
+        self._triggers = Triggers(
+            self._holder,
+            clock=clock,
+            patience=self._patience,
+            want=self._want,
+        )
+        self.book = self._triggers.book
         self._storage: list[dict[str, Any]] = []
         self._heard_s = -math.inf
-        self._numbers = 0
-        self._triggering = asyncio.Lock()
-        self._listing = asyncio.Lock()
         self._tasks: list[asyncio.Task[None]] = []
         self._files: PhotoFiles | None = None
-        self._awaiting: asyncio.Task[None] | None = None
-        self._news = asyncio.Event()
 
     # --- life
 
@@ -137,10 +138,10 @@ class TetheredCamera:
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None:
         """Close the camera; files that were not fetched stay in it."""
-        tasks = [task for task in (*self._tasks, self._awaiting) if task is not None]
-        for task in tasks:
+        for task in self._tasks:
             task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._triggers.close()
         await self._holder.close()
         self.files.clear()
         if self._temporary is not None:
@@ -151,14 +152,9 @@ class TetheredCamera:
         await self.settings.again(call)
 
     def _was_opened(self, files: list[tuple[str, str]], storage: list[dict[str, Any]], again: bool) -> None:
-        now_s = self._clock.monotonic()
         self._storage = storage
         self._heard_s = time.monotonic()
-        if again:
-            self.book.postpone(now_s + self._patience.late_s)
-            self._matched(self.book.seen(files, now_s), now_s)
-        else:
-            self.book.baseline(files)
+        self._triggers.opened(files, again=again)
 
     # --- what a mission needs to know of it
 
@@ -237,7 +233,7 @@ class TetheredCamera:
             DeviceError: it did not answer.
         """
         await self.discover(self._patience.back_s)
-        await self._look()
+        await self._triggers.look()
         return RecalledPhotos(image_count=self.book.count)
 
     async def discover(self, timeout_s: float = 15.0) -> TetheredFound:
@@ -297,81 +293,12 @@ class TetheredCamera:
             known = await asyncio.to_thread(read_settings, file)
         return await self.settings.keep(known)
 
-    # --- triggers
+    def _want(self, photo: Photo, capture: Capture) -> None:
+        self.files.want(photo, capture)
 
     async def trigger(self) -> PendingCapture:
         """See `Camera.trigger`; not before it is settled what earlier triggers brought."""
-        async with self._triggering:
-            await self._settle()
-            process = await self._holder.ready()
-            self._numbers += 1
-            capture = Capture(self._numbers, clock=self._clock, poll=self._poll, must_report=True)
-            capture.commanded(self._clock.monotonic())
-            self.book.sent(capture)
-            asked_s = time.monotonic()
-            try:
-                with work(self._clock):
-                    answer = await process.call("trigger", self._patience.call_s)
-            except CallFailedError as error:
-                self.book.refused(capture)
-                raise DeviceError(self._holder.explained(error)) from error
-            except LinkError as error:
-                return await self._hung(process, capture, str(error))
-            except asyncio.CancelledError:
-                self.book.gave_up(capture, self._clock.monotonic() + self._patience.late_s)
-                raise
-            if isinstance(self._clock, SystemClock):
-                capture.commanded(capture.commanded_s + (answer["sent"] - asked_s) * self._clock.speedup)
-            capture.acknowledged(self._clock.monotonic())
-            if isinstance(self._clock, VehicleClock):
-                self._awaiting = asyncio.create_task(self._await_photo(capture), name="photo of the tethered camera")
-            return capture
-
-    async def _await_photo(self, capture: Capture) -> None:
-        """Have a simulated vehicle not run ahead of the photo's event, which takes real time to arrive."""
-        with work(self._clock):
-            end_s = time.monotonic() + self._patience.missing_s
-            while capture in self.book.waiting and time.monotonic() < end_s:
-                with contextlib.suppress(TimeoutError):
-                    async with asyncio.timeout(self._patience.look_s):
-                        await self._news.wait()
-                self._news.clear()
-
-    async def _hung(self, process: CameraProcess, capture: Capture, why: str) -> PendingCapture:
-        """A trigger without an answer: whether it took a photo shows what the camera lists once it answers again."""
-        _log.warning("trigger without an answer", number=capture.number, reason=why)
-        self._holder.drop(process, why)
-        with contextlib.suppress(LinkError):
-            await self._holder.ready()
-            await self._settle_one(capture)
-        if capture.known.level >= EvidenceLevel.CAPTURE_MESSAGE:
-            return capture
-        self.book.gave_up(capture, self._clock.monotonic() + self._patience.late_s)
-        raise LinkError(f"the camera did not carry out the trigger, or did not tell: {why}")
-
-    async def _settle(self) -> None:
-        """Wait until no earlier trigger can still bring a photo."""
-        clock, patience = self._clock, self._patience
-        while self.book.waiting or self.book.doubt_until_s(clock.monotonic()) > clock.monotonic():
-            await self._holder.ready()
-            age_s = max((clock.monotonic() - one.commanded_s for one in self.book.waiting), default=0.0)
-            if age_s >= patience.missing_s:
-                await self._look()
-            for capture in self.book.waiting:
-                if age_s > patience.late_s:
-                    self.book.gave_up(capture, -math.inf)
-            if self.book.waiting or self.book.doubt_until_s(clock.monotonic()) > clock.monotonic():
-                await clock.sleep(patience.look_s)
-
-    async def _settle_one(self, capture: Capture) -> None:
-        """Wait for the photo of a trigger that was not answered."""
-        deadline_s = self._clock.monotonic() + self._patience.late_s / 4
-        while capture in self.book.waiting and self._clock.monotonic() < deadline_s:
-            await self._clock.sleep(self._patience.look_s)  # its event may come now
-        if capture in self.book.waiting:
-            await self._look()
-
-    # --- photos
+        return await self._triggers.trigger()
 
     def _told(self, event: dict[str, Any]) -> None:
         """An event of the camera."""
@@ -379,30 +306,7 @@ class TetheredCamera:
         if event["event"] == "alive":
             self._storage = event["storage"]
         elif event["event"] == "added":
-            now_s = self._clock.monotonic()
-            self._matched(self.book.seen([(event["folder"], event["name"])], now_s), now_s)
-
-    async def _look(self) -> None:
-        """List the camera, and match what is new; an event may have been lost."""
-        async with self._listing:
-            with work(self._clock), contextlib.suppress(DeviceError):
-                files = await self._holder.call("list", self._patience.list_s)
-                now_s = self._clock.monotonic()
-                self._matched(self.book.seen([(folder, name) for folder, name in files], now_s), now_s)
-
-    async def _poll(self, capture: Capture) -> None:
-        """See `Capture`: the photo's event may have been lost."""
-        if capture in self.book.waiting and self._clock.monotonic() - capture.commanded_s >= self._patience.missing_s:
-            await self._look()
-
-    def _matched(self, found: list[tuple[Photo, Capture]], now_s: float) -> None:
-        self._news.set()
-        for photo, capture in found:
-            evidence = CaptureEvidence(
-                level=EvidenceLevel.CAPTURE_MESSAGE, received_s=now_s, reported_s=now_s, file_url=photo.url
-            )
-            capture.add(Report(source=Source.CAPTURED, evidence=evidence))
-            self.files.want(photo, capture)
+            self._triggers.added([(event["folder"], event["name"])])
 
     # --- `PhotoFetcher`
 
