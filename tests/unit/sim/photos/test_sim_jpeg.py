@@ -11,8 +11,9 @@ import pytest
 from panoexec.angles import quaternion_from_rotation, rotation
 from panoexec.devices import Quaternion
 from panoexec.errors import UsageError
+from panoexec.formats.photo_settings import read_settings
 from panoexec.formats.xmp import Position
-from panoexec.sim.photos.jpeg import PhotoMetadata, write_jpeg
+from panoexec.sim.photos.jpeg import PhotoMetadata, jpeg_bytes, padded, write_jpeg
 
 IMAGE = np.random.default_rng(1).integers(0, 255, (40, 60, 3)).astype(np.uint8)
 DJI = "{http://www.dji.com/drone-dji/1.0/}"
@@ -109,3 +110,18 @@ def test_below_sea_level_and_west(tmp_path: Path) -> None:
 def test_an_unwritable_folder_is_a_usage_error(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="cannot be written"):
         write_jpeg(tmp_path / "gone" / "a.jpg", IMAGE, metadata())
+
+
+@pytest.mark.parametrize("size", [0, 5000, 100_000, 3_000_001])
+def test_a_padded_photo_shows_and_tells_the_same(tmp_path: Path, size: int) -> None:
+    content = jpeg_bytes(IMAGE, metadata())
+    larger = padded(content, size)
+    assert len(content) <= len(larger)
+    assert size <= len(larger) <= max(len(content), size + 4)
+    for name, data in (("a.jpg", content), ("b.jpg", larger)):
+        (tmp_path / name).write_bytes(data)
+    told = read_settings(tmp_path / "a.jpg")
+    assert told is not None
+    assert read_settings(tmp_path / "b.jpg") == told
+    with PIL.Image.open(tmp_path / "a.jpg") as one, PIL.Image.open(tmp_path / "b.jpg") as other:
+        assert np.array_equal(np.asarray(one), np.asarray(other))
