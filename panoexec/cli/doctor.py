@@ -17,6 +17,7 @@ import asyncio
 import os
 from pathlib import Path
 
+from panoexec.adapters.link.no_downloads import no_downloads
 from panoexec.cli.findings_view import show_findings
 from panoexec.cli.numbers import positive
 from panoexec.cli.output import note, print_json
@@ -53,7 +54,8 @@ def run(args: argparse.Namespace) -> int:
     """Run the checks and print the findings."""
     config = checked_config(args.config, os.environ)
     configure_logs("error", config.log.format)
-    findings = asyncio.run(_examined(config, args))
+    with no_downloads(os.environ):
+        findings = asyncio.run(_examined(config, args))
     if args.json:
         print_json({"config": str(args.config), "vehicle": config.vehicle.id} | findings.document())
     else:

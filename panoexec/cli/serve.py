@@ -19,6 +19,7 @@ from pathlib import Path
 
 import panoexec.cli.lean  # noqa: F401  (must be imported first)
 from panoexec.adapters.link.first_heartbeats import OpenedConnection, open_at_once
+from panoexec.adapters.link.no_downloads import no_downloads
 from panoexec.cli.numbers import positive
 from panoexec.cli.one_heap import use_one_heap
 from panoexec.errors import InputFileError, PanoexecError, UsageError
@@ -56,7 +57,8 @@ def run(args: argparse.Namespace) -> int:
                 opened.close()
             raise
         _wait_for_children_without_threads()
-        asyncio.run(_serve(config, args.config, args.speedup, opened))
+        with no_downloads(os.environ):
+            asyncio.run(_serve(config, args.config, args.speedup, opened))
     except BaseExceptionGroup as failures:
         ours = [failure for failure in _leaves(failures) if isinstance(failure, PanoexecError)]
         if not ours:

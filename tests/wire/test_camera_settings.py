@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
+import os
 import struct
+import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -14,6 +17,7 @@ from panoexec.adapters.camera.settings import extended_parameters
 from panoexec.adapters.camera.settings.extended_parameters import ExtendedParameters
 from panoexec.adapters.link.file_urls import FileUrls
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
+from panoexec.adapters.link.no_downloads import no_downloads
 from panoexec.clock import SystemClock
 from panoexec.errors import DeviceError
 from panoexec.inputs.config import LockSection
@@ -22,6 +26,7 @@ from panoexec.sim import settings
 from panoexec.sim.config import SimConfig
 from panoexec.sim.mavlink.camera_settings import definition
 from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.photos import file_server
 from panoexec.sim.photos.file_server import serving_photos
 from panoexec.sim.process import free_udp_port, running_simulator
 from tests.wire.scripted_peer import listening
@@ -184,3 +189,17 @@ async def test_settings_are_made_again_on_a_camera_that_restarted() -> None:
             for task in tuple(camera._lock._tasks):
                 await task
             assert peer.value == 4
+
+
+async def test_mavsdk_itself_asks_no_host_for_a_definition(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr(file_server._Handler, "do_GET", lambda request: asked.append(request.path))
+    with serving_photos(None) as base:
+        peer = SettingsPeer(f"{base}/camera.xml")
+        peer.name = f"Eye {os.getpid()}-{time.time_ns()}"  # MAVSDK keeps what it fetched, by the camera's name
+        with no_downloads(os.environ):
+            async with camera_of(peer, LockSection(), hosts=("127.0.0.1",)) as camera:
+                await camera.discover()
+                await asyncio.sleep(1.0)
+    assert asked == []
+    assert os.environ.get("http_proxy") != "http://127.0.0.1:9"

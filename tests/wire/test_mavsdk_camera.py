@@ -41,6 +41,7 @@ class CameraPeer(ScriptedPeer):
         camera_boot_s: the camera booted that much before the autopilot.
         tells_time: whether reports carry a boot time.
         definition_uri: of its camera definition.
+        name: of its model.
     """
 
     def __init__(self, component: int = 100) -> None:
@@ -52,6 +53,7 @@ class CameraPeer(ScriptedPeer):
         self.camera_boot_s = 500.0
         self.tells_time = True
         self.definition_uri = ""
+        self.name = "Eye"
         self.free_mib = 3000.0
         self.storage_status = 2
         self.result = 1
@@ -114,7 +116,7 @@ class CameraPeer(ScriptedPeer):
         return mavlink.MAVLink_camera_information_message(
             self.camera_ms(),
             text("ACME" if own else "", 32),
-            text("Eye" if own else "", 32),
+            text(self.name if own else "", 32),
             0,
             15.0 if own else math.nan,
             17.3 if own else math.nan,
