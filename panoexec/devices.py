@@ -310,6 +310,7 @@ class VehicleStatus:
         armed: whether the motors are armed.
         in_air: by the landed state.
         mode: flight mode as the adapter names it (MAVSDK's names: HOLD, OFFBOARD = GUIDED, STABILIZED, ...).
+        own_mode: what the autopilot's ground stations call it (GUIDED, RTL, Hold).
         heading_deg: true heading [0, 360).
         latitude_deg, longitude_deg, altitude_m, relative_altitude_m: position.
         battery_frac: 0 to 1.
@@ -335,6 +336,14 @@ class VehicleStatus:
     boot_count: int = 0
     heartbeats: int = 0
     unhealthy: tuple[str, ...] = ()
+    own_mode: str = ""
+
+    @property
+    def mode_text(self) -> str:
+        """The flight mode for people: as the pilot knows it, and as the configuration names it."""
+        if not self.own_mode or self.own_mode.upper() == self.mode:
+            return self.own_mode or self.mode or "unknown"
+        return f"{self.own_mode} ({self.mode})" if self.mode not in {"", "UNKNOWN"} else self.own_mode
 
 
 class Severity(IntEnum):

@@ -72,6 +72,61 @@ _PX4_SUB: Final = {
 }
 
 
+_OWN_ARDUCOPTER: Final = {
+    number: name
+    for number, name in enumerate(
+        (
+            *(
+                "STABILIZE",
+                "ACRO",
+                "ALT_HOLD",
+                "AUTO",
+                "GUIDED",
+                "LOITER",
+                "RTL",
+                "CIRCLE",
+                "",
+                "LAND",
+                "",
+                "DRIFT",
+                "",
+            ),
+            *("SPORT", "FLIP", "AUTOTUNE", "POSHOLD", "BRAKE", "THROW", "AVOID_ADSB", "GUIDED_NOGPS", "SMART_RTL"),
+            *("FLOWHOLD", "FOLLOW", "ZIGZAG", "SYSTEMID", "AUTOROTATE", "AUTO_RTL", "TURTLE"),
+        )
+    )
+    if name
+}
+_OWN_PX4: Final = {
+    "ALTCTL": "Altitude",
+    "POSCTL": "Position",
+    "HOLD": "Hold",
+    "RETURN_TO_LAUNCH": "Return",
+    "MISSION": "Mission",
+    "TAKEOFF": "Takeoff",
+    "LAND": "Land",
+    "MANUAL": "Manual",
+    "OFFBOARD": "Offboard",
+    "STABILIZED": "Stabilized",
+    "ACRO": "Acro",
+    "FOLLOW_ME": "Follow Me",
+}
+
+
+def own_name(autopilot: AutopilotKind, kind: int, custom_mode: int, mode: str) -> str:
+    """What the autopilot's ground stations call a flight mode, which is what the pilot chose; "" if that is unknown.
+
+    Args:
+        autopilot: which one it is.
+        kind: MAV_TYPE.
+        custom_mode: of the autopilot's HEARTBEAT.
+        mode: its name by `flight_mode`.
+    """
+    if autopilot == "ardupilot":
+        return "" if kind in _WINGS | _WHEELS else _OWN_ARDUCOPTER.get(custom_mode, "")
+    return _OWN_PX4.get(mode, "")
+
+
 def flight_mode(autopilot: AutopilotKind, kind: int, base_mode: int, custom_mode: int) -> str | None:
     """The flight mode's name, `UNKNOWN` for one without a name; None if the heartbeat does not tell one.
 

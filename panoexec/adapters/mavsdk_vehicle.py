@@ -9,7 +9,7 @@ from functools import partial
 from types import TracebackType
 from typing import Final, Self
 
-from panoexec.adapters.flight_modes import flight_mode
+from panoexec.adapters.flight_modes import flight_mode, own_name
 from panoexec.adapters.link.mavsdk_errors import MAV_RESULTS
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.message_hub import MavMessage
@@ -51,6 +51,7 @@ class MavsdkVehicle:
         self._armed = False
         self._in_air = False
         self._mode = ""
+        self._own_mode = ""
         self._heartbeats = 0
         self._battery_frac = math.nan
         self._position = (math.nan,) * 5
@@ -73,6 +74,7 @@ class MavsdkVehicle:
             armed=self._armed,
             in_air=self._in_air,
             mode=self._mode,
+            own_mode=self._own_mode,
             heading_deg=heading_deg,
             latitude_deg=latitude_deg,
             longitude_deg=longitude_deg,
@@ -172,6 +174,8 @@ class MavsdkVehicle:
         if mode is not None and mode != self._mode:
             self._hold_position = None  # the vehicle may have been flown elsewhere
             self._mode = mode
+        if mode is not None:
+            self._own_mode = own_name(autopilot, identity.kind, int(fields["custom_mode"]), mode)
         self._heartbeats += 1
 
     def _global_position(self, message: MavMessage) -> None:

@@ -324,7 +324,7 @@ def _examine_status(vehicle: MavsdkVehicle, config: Config, findings: Findings) 
         findings.warning(
             "vehicle",
             "flight mode",
-            f"{status.mode or 'unknown'} now",
+            f"{status.mode_text} now",
             needed=f"{modes} at the start of a mission",
             advice="change the mode, or [guards] allowed_modes (OFFBOARD is ArduPilot's GUIDED, HOLD its LOITER)",
         )
@@ -332,11 +332,11 @@ def _examine_status(vehicle: MavsdkVehicle, config: Config, findings: Findings) 
         findings.warning(
             "vehicle",
             "flight mode",
-            f"{status.mode or 'unknown'} now",
+            f"{status.mode_text} now",
             needed=f"{' or '.join(vehicle.turn_modes)} if the vehicle pans ([gimbal] yaw)",
             advice="change the flight mode (OFFBOARD is ArduPilot's GUIDED)",
         )
     else:
-        findings.ok("vehicle", "flight mode", status.mode or "unknown")
+        findings.ok("vehicle", "flight mode", status.mode_text)
     where = "in the air" if status.in_air else "on the ground"
     findings.note("vehicle", "state", f"{where}, {'armed' if status.armed else 'disarmed'}")

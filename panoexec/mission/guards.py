@@ -168,9 +168,10 @@ class ModeGuard:
         mode = situation.vehicle.mode
         if not self.allowed or not mode or mode in self.allowed or not situation.vehicle.connected:
             return None
+        shown, allowed = situation.vehicle.mode_text, ", ".join(self.allowed)
         return Finding(
             code="pilot",
-            reason=f"the pilot has taken over (mode {mode}; allowed: {', '.join(self.allowed)}); gimbal released",
+            reason=f"the pilot has taken over (mode {shown}; allowed: {allowed}); gimbal released",
             automatic=False,
             release=True,
         )
@@ -187,7 +188,7 @@ class TurnGuard:
             return None
         return Finding(
             code="turning",
-            reason=f"the vehicle must turn for the next shots: {cannot_turn(mode, modes)}",
+            reason=f"the vehicle must turn for the next shots: {cannot_turn(situation.vehicle.mode_text, modes)}",
             automatic=True,
         )
 

@@ -125,7 +125,7 @@ def preflight_problems(
     if guards.position_hold and not status.position_ok:
         problems.append("the vehicle has no valid position and cannot hold it")
     if guards.allowed_modes and status.mode not in guards.allowed_modes:
-        problems.append(f"flight mode is {status.mode or 'unknown'}; allowed: {', '.join(guards.allowed_modes)}")
+        problems.append(f"flight mode is {status.mode_text}; allowed: {', '.join(guards.allowed_modes)}")
     return problems
 
 
@@ -184,13 +184,13 @@ def turning_problems(forward: Sequence[Shot], limits: GimbalLimits, vehicle: Veh
     beyond = sum(not reach.has(shot.yaw_deg, 0.0) for shot in forward)
     if not beyond or vehicle.status.mode in vehicle.turn_modes:
         return []
-    return [f"{beyond} shots need the vehicle to turn: {cannot_turn(vehicle.status.mode, vehicle.turn_modes)}"]
+    return [f"{beyond} shots need the vehicle to turn: {cannot_turn(vehicle.status.mode_text, vehicle.turn_modes)}"]
 
 
 def cannot_turn(mode: str, turn_modes: Sequence[str]) -> str:
     """Text for the pilot: the vehicle does not turn in this mode, but in those."""
     names = [PILOT_MODE_NAMES.get(name, name) for name in turn_modes]
-    return f"it does not turn in flight mode {mode or 'unknown'}; change to {' or '.join(names) or 'another mode'}"
+    return f"it does not turn in flight mode {mode}; change to {' or '.join(names) or 'another mode'}"
 
 
 def feedback_problems(known: GimbalKnowledge, tolerance: Tolerance) -> list[str]:

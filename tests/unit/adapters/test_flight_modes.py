@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 from mavsdk.plugins.telemetry import FlightMode
 
-from panoexec.adapters.flight_modes import flight_mode
+from panoexec.adapters.flight_modes import flight_mode, own_name
+from panoexec.adapters.link.roster import AutopilotKind
+from panoexec.devices import VehicleStatus
 
 QUAD, PLANE, ROVER = 2, 1, 10
 CUSTOM = 1
@@ -47,3 +49,36 @@ def test_the_names_are_those_of_mavsdk() -> None:
     names = {flight_mode(autopilot, kind, CUSTOM, number) for autopilot, kind in kinds for number in numbers}  # type: ignore[arg-type]
     assert {"HOLD", "OFFBOARD", "POSCTL", "LAND"} < names
     assert names <= {mode.name for mode in FlightMode}
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "kind", "custom_mode", "mode", "name"),
+    [
+        ("ardupilot", 2, 4, "OFFBOARD", "GUIDED"),
+        ("ardupilot", 2, 6, "RETURN_TO_LAUNCH", "RTL"),
+        ("ardupilot", 13, 17, "UNKNOWN", "BRAKE"),
+        ("ardupilot", 2, 28, "UNKNOWN", "TURTLE"),
+        ("ardupilot", 2, 8, "UNKNOWN", ""),
+        ("ardupilot", 1, 4, "ACRO", ""),
+        ("px4", 2, 5 << 24 | 4 << 16, "RETURN_TO_LAUNCH", "Return"),
+        ("px4", 2, 6 << 16, "OFFBOARD", "Offboard"),
+    ],
+)
+def test_the_name_that_the_pilot_knows(
+    autopilot: AutopilotKind, kind: int, custom_mode: int, mode: str, name: str
+) -> None:
+    assert own_name(autopilot, kind, custom_mode, mode) == name
+
+
+@pytest.mark.parametrize(
+    ("mode", "own", "text"),
+    [
+        ("OFFBOARD", "GUIDED", "GUIDED (OFFBOARD)"),
+        ("OFFBOARD", "Offboard", "Offboard"),
+        ("HOLD", "", "HOLD"),
+        ("UNKNOWN", "BRAKE", "BRAKE"),
+        ("", "", "unknown"),
+    ],
+)
+def test_a_mode_for_people(mode: str, own: str, text: str) -> None:
+    assert VehicleStatus(mode=mode, own_mode=own).mode_text == text
