@@ -97,8 +97,9 @@ async def test_with_users_nobody_gets_in_without_a_login_and_a_viewer_only_looks
                     assert answer.status == 401, path
             async with stranger.get(f"{base(server)}/v/drone", allow_redirects=False) as answer:
                 assert (answer.status, answer.headers["Location"]) == (303, "/login")
-            async with stranger.get(f"{base(server)}/login") as answer:
-                assert answer.status == 200
+            for path in ("/login", "/register_service", "/assets/login.html"):
+                async with stranger.get(base(server) + path) as answer:
+                    assert answer.status == 200, path
             stranger.cookie_jar.update_cookies({"panoexec_session": "guess"}, URL(base(server)))
             assert await refused(stranger, server, origin=base(server)) == 401
             form = {"name": "anna", "password": "correct horse"}
