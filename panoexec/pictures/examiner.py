@@ -34,6 +34,8 @@ _GUESS_PAIRS: Final = 2
 _GUESS_CORNERS: Final = 20
 _BETTER: Final = 1.15
 """How much better than the nominal focal length another one has to be."""
+_WELL_FRAC, _WELL_PX = 0.8, 0.2
+"""Share of the corners, and residual, with which the nominal focal length is good enough to begin with."""
 _FITTED_AT: Final = frozenset({4, 6, 9, 14, 24, 48})
 """Numbers of photos with which the focal length is fitted."""
 _FOCAL_STEP: Final = 0.0015
@@ -265,6 +267,9 @@ class Examiner:
         if len(pairs) < _GUESS_PAIRS:
             return
         self._guessed = True
+        ties = [self._ties[pair] for pair in pairs]
+        if all(one.points >= _WELL_FRAC * one.searched and one.rms_px <= _WELL_PX for one in ties):
+            return
         scores = []
         for ratio in _RATIOS:
             self._focal_ratio = ratio

@@ -3,7 +3,8 @@
 A whole mission by MQTT on the embedded vehicle, whose gimbal and airframe report 50 times a second. The processor's
 share is that from the first shot to the last; the delay is from "inside tolerance and settle time over" to the trigger
 command on the wire, as the manifest has it of each shot. `PANOEXEC_BENCH_SHOTS` sets how many there are (210; each
-takes a good second).
+takes a good second). With `PANOEXEC_BENCH_PICTURES=1` the camera writes photos of 800 px, which are stored and examined
+by the processes beside the daemon; the figures are the daemon's own.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from tests.system.daemon import ground_station
 from tests.wire.broker import Broker, running_broker
 
 SHOTS: Final = int(os.environ.get("PANOEXEC_BENCH_SHOTS", "210"))
+PICTURES: Final = bool(os.environ.get("PANOEXEC_BENCH_PICTURES"))
 ROWS: Final = 3
 INTERVAL_S: Final = 0.6
 TOLERANCE: Final = Tolerance(pitch_deg=0.15, roll_deg=0.15, yaw_deg=0.7)
@@ -59,7 +61,10 @@ def the_plan() -> Plan:
 async def _measured(folder: Path) -> list[Measurement]:
     port = free_udp_port()
     simulation = SimConfig(
-        port=port, camera=CameraConfig(interval_s=INTERVAL_S), airframe=AirframeConfig(wind_m_s=3.0, battery_minutes=60)
+        port=port,
+        output=folder / "card" if PICTURES else None,
+        camera=CameraConfig(interval_s=INTERVAL_S, optics=the_plan().camera),
+        airframe=AirframeConfig(wind_m_s=3.0, battery_minutes=60),
     )
     with running_broker(folder) as broker:
         async with (
@@ -107,9 +112,10 @@ def _figures(manifest: dict[str, Any], share: float, peak_mb: float, wakeups: fl
 @asynccontextmanager
 async def _daemon(folder: Path, broker: Broker, port: int) -> AsyncIterator[asyncio.subprocess.Process]:
     config = folder / "config.toml"
+    files = f'file_folders = ["{folder}/card"]\n' if PICTURES else ""
     config.write_text(
         f'[vehicle]\nconnection = "udpin://127.0.0.1:{port}"\n'
-        f'[camera]\nprofile = "dji-x5s-45mm"\ninterval_s = {INTERVAL_S}\n'
+        f'[camera]\nprofile = "dji-x5s-45mm"\ninterval_s = {INTERVAL_S}\n{files}'
         f'[mqtt]\nhost = "127.0.0.1"\nport = {broker.port}\n[storage]\npath = "{folder}/data"\nmin_free_mb = 1\n'
         "[guards]\nallowed_modes = []\nposition_drift_m = 50\n"
     )
