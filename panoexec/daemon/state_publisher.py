@@ -138,6 +138,7 @@ class StatePublisher:
         offered = offer is not None and mission is None
         battery = self._vehicle.status.battery_frac
         eta = mission.eta_s if mission is not None and record is not None and record.state in FLYING else math.nan
+        need = mission.battery_need_frac if mission is not None and math.isfinite(eta) else math.nan
         state = MissionState.IDLE
         reason = "; ".join(part for part in (self._not_ready_reason, self._missions.damage) if part)
         if record is not None and not (offered and record.state in FLYING):
@@ -162,6 +163,7 @@ class StatePublisher:
             link=self._vehicle.links(),
             pose=None if mission is None else _pose(mission.pose),
             battery_frac=battery if math.isfinite(battery) else None,
+            battery_need_frac=round(need, 4) if math.isfinite(need) else None,
             boot_id=self._boot_id,
             seq=self._seq,
             time=datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z"),

@@ -29,7 +29,7 @@ from panoexec.mission.metering import meter_exposure
 from panoexec.mission.mission_requests import MissionRequests, Stop
 from panoexec.mission.operator_commands import OperatorCommands
 from panoexec.mission.pointing.heading import HeadingController
-from panoexec.mission.preflight import battery_warning, preflight_problems
+from panoexec.mission.preflight import battery_need_frac, battery_warning, preflight_problems
 from panoexec.mission.protocols import Journal, LimitsTurns, PreparesForPhotos, TellsLens, Verifier
 from panoexec.mission.recovery import settle_open_attempts
 from panoexec.mission.reference_frame import update_reference_frame, warn_if_moved
@@ -140,6 +140,12 @@ class Mission:
     def eta_s(self) -> float:
         """Estimated seconds until the last shot."""
         return self._context.eta.eta_s(self._context.shots_left())
+
+    @property
+    def battery_need_frac(self) -> float:
+        """The part of a full battery that the rest of the shooting needs; NaN without a hover time."""
+        guards = self._context.settings.guards
+        return battery_need_frac(guards, self.eta_s) if guards.hover_s > 0 else math.nan
 
     @property
     def pose(self) -> LivePose | None:

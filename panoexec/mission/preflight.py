@@ -143,7 +143,7 @@ def battery_problems(charge_frac: float, guards: GuardSettings, *, expected_s: f
     have, floor = f"battery at {100 * charge_frac:.0f} %", f"{100 * floor_frac:.0f} %"
     if charge_frac < floor_frac:
         return [f"{have}, the floor is {floor}"]
-    needed_frac = _needed_frac(guards, expected_s)
+    needed_frac = battery_need_frac(guards, expected_s)
     enough = not charge_frac - floor_frac < needed_frac  # NaN: not reported
     if enough or charge_frac >= FRESH_FRAC or needed_frac > FRESH_FRAC - floor_frac:
         return []
@@ -155,7 +155,7 @@ def battery_problems(charge_frac: float, guards: GuardSettings, *, expected_s: f
 
 def battery_warning(charge_frac: float, guards: GuardSettings, *, expected_s: float) -> str:
     """The warning for a mission that this battery cannot finish; "" if it can."""
-    needed_frac = _needed_frac(guards, expected_s)
+    needed_frac = battery_need_frac(guards, expected_s)
     if not charge_frac - guards.battery_floor_frac < needed_frac:
         return ""
     return (
@@ -164,7 +164,8 @@ def battery_warning(charge_frac: float, guards: GuardSettings, *, expected_s: fl
     )
 
 
-def _needed_frac(guards: GuardSettings, expected_s: float) -> float:
+def battery_need_frac(guards: GuardSettings, expected_s: float) -> float:
+    """The part of a full battery that this much shooting needs; 0 without a hover time."""
     return expected_s / guards.hover_s if guards.hover_s > 0 else 0.0
 
 

@@ -81,6 +81,7 @@ class State(Payload):
         resumable: id of the mission that `resume` would resume.
         pose: where the camera points now; null without a mission under way, or if it is not known.
         battery_frac: state of charge, 0 to 1; null if unknown.
+        battery_need_frac: part of a full battery that the rest of the shooting needs; null if unknown.
         boot_id: id of the process; `seq` counts states within it.
         time: ISO 8601 UTC.
     """
@@ -101,6 +102,7 @@ class State(Payload):
     link: LinksFields
     pose: PoseFields | None = None
     battery_frac: float | None
+    battery_need_frac: float | None = None
     boot_id: str
     seq: int
     time: str

@@ -299,6 +299,56 @@ def test_texts_that_try_to_run_are_shown_and_do_not_run(page: Browser, server: P
     assert_sound(page)
 
 
+def stored(mission_id: str, **fields: Any) -> dict[str, Any]:
+    """A mission of the list."""
+    return {
+        "mission_id": mission_id,
+        "name": HOSTILE,
+        "state": "complete",
+        "shots_total": 18,
+        "shots_done": 18,
+        "photos": 18,
+        "size_bytes": 5_400_000,
+        "problem": "",
+        "report": None,
+        "panorama": None,
+        "preview": None,
+        "download": f"/missions/{mission_id}/download",
+        "deletable": "",
+        "stitch": "",
+        "place": {"latitude_deg": 47.3977, "longitude_deg": -8.5456},
+        "time": "2026-11-30T10:00:00Z",
+    } | fields
+
+
+def test_missions_are_listed_stitched_and_deleted(page: Browser, server: PageServer) -> None:
+    other = "20261129T100000.000Z"
+    server.missions = [stored(MISSION), stored(other, name="", state="capturing", deletable="only finished missions")]
+    page.visit(f"{server.url}/v/drone#missions")
+    page.until("document.querySelectorAll('#missions > li').length === 2")
+    assert "47.3977° N, 8.5456° W" in text(page, "#missions > li")
+    page.click(f"[data-mission='{other}']")
+    page.until("document.getElementById('delete')?.getAttribute('aria-disabled') === 'true'")
+    assert "Delete: only finished missions." in text(page, "main")
+    page.click("[data-key=back]")
+    page.click(f"[data-mission='{MISSION}']")
+    page.click("#stitch")
+    server.wait_for("stitch", mission_id=MISSION)
+    running = {"type": "stitch", "mission_id": MISSION, "stage": "running", "fraction": 0.4, "text": "blending"}
+    server.say(running | {"who": "TABLET-2"})
+    page.until("document.querySelector('#stitching progress')?.value === 0.4")
+    assert "blending · TABLET-2" in text(page, "#stitching")
+    assert problems(page) == []
+    server.say(running | {"stage": "done", "fraction": 1.0, "text": "", "who": "TABLET-2"})
+    page.until("document.getElementById('stitching').innerText.includes('stitched')")
+    page.click("#delete")
+    page.click("#answer-yes")
+    page.until("document.querySelectorAll('#missions > li').length === 1")
+    assert server.deleted == [(MISSION, MISSION)]
+    assert page.value("window.harmed") is None
+    assert_sound(page)
+
+
 def test_a_fleet_is_sorted_by_who_needs_somebody(browser: Browser, server: PageServer) -> None:
     fleet = {f"drone-{k:02d}": vehicle(f"drone-{k:02d}") for k in range(50)}
     fleet["drone-30"]["state"] = state(

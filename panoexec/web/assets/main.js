@@ -74,7 +74,7 @@ async function show() {
 function drawTop() {
   const { hello } = model, tabs = route.vehicle ? [["Live", ""], ["Plan", "#plan"], ["Missions", "#missions"]].map(([text, hash]) => [text, `/v/${route.vehicle}${hash}`, hash.slice(1) === (route.part === "mission" ? "missions" : route.part)]) : [["Vehicles", "/", route.part === ""], ["Missions", "/#missions", route.part !== ""]];
   redraw(top, [hello && [hello.user, hello.name, hello.role, hello.login], tabs, model.vehicles.size], () => [
-    el("a", { class: "brand", href: "/", "data-nav": "/#", "aria-label": "panoexec: all vehicles" }, el("img", { src: "/assets/icon.svg", alt: "", width: 26, height: 26 }), "panoexec"),
+    el("a", { class: "brand", href: "/", "data-nav": "/#", "aria-label": "panoexec: all vehicles" }, el("img", { src: "/assets/icon.svg", alt: "", width: 26, height: 26 }), el("span", {}, "panoexec")),
     el("nav", { class: "tabs", "aria-label": "Pages" }, tabs.map(([text, address, on]) => el("a", { href: address, "data-key": text, "data-nav": address, "aria-current": on ? "page" : null }, text))),
     el("div", { class: "who" }, hello ? el("button", { class: "plain name", "data-key": "who", "aria-label": `You are ${hello.user || hello.name}, ${hello.role}: change`, onclick: rename }, `${hello.user || link.name || hello.name}${hello.role === "viewer" ? " (viewer)" : ""}`) : null,
       hello && hello.login ? el("form", { method: "post", action: "/logout" }, el("button", { class: "plain" }, "Log out")) : null,

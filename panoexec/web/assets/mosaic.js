@@ -7,6 +7,7 @@ import { RAD, azimuthOf, boresightOf, elevationOf, matrix } from "/assets/pages/
 const WIDTH = 1536, HEIGHT = WIDTH / 2;
 const NONE = -1;
 const AHEAD = 5;
+const WORK_MS = 60;
 
 export class Mosaic {
   /* changed: called after each photo that was laid on. */
@@ -69,18 +70,33 @@ export class Mosaic {
       const q = taken.q || shot.q;
       if (q) wanted.set(shot.i, { i: shot.i, url: shot.url, q, key: `${shot.url} ${q.join(" ")}`, camera });
     }
-    // what a photo covered before cannot be uncovered alone
-    if ([...this.photos].some(([i, photo]) => wanted.get(i)?.key !== photo.key)) this.clear();
+    const gone = [...this.photos.keys()].filter((i) => !wanted.has(i));
+    if (gone.length) this.takeAway(gone);
     for (const [i, photo] of wanted) {
       if (this.photos.get(i)?.key === photo.key) continue;
+      // a newer photo of the same shot covers the older one, wherever its neighbours do not
+      if (this.photos.has(i)) for (let k = 0; k < this.owners.length; k += 1) if (this.owners[k] === i) this.depths[k] = 0;
       this.photos.set(i, photo);
       this.queue.push(photo);
     }
     this.work();
   }
+  /* Photos that do not count any more leave bare ground, or what their neighbours show there. */
+  takeAway(gone) {
+    const lost = new Set(gone);
+    for (let k = 0; k < this.owners.length; k += 1) if (lost.has(this.owners[k])) { this.owners[k] = NONE; this.depths[k] = 0; }
+    const axes = gone.map((i) => boresightOf(matrix(this.photos.get(i).q)));
+    for (const i of gone) this.photos.delete(i);
+    this.ground();
+    for (const photo of this.photos.values()) {
+      const { half_width: w, half_height: h } = photo.camera, near = Math.cos(Math.min(Math.PI, 2 * Math.atan(Math.hypot(w, h)))), axis = boresightOf(matrix(photo.q));
+      if (!this.queue.includes(photo) && axes.some((one) => one.reduce((sum, x, k) => sum + x * axis[k], 0) > near)) this.queue.push(photo);
+    }
+  }
   async work() {
     if (this.busy) return;
     this.busy = true;
+    let begun = performance.now();
     while (this.queue.length) {
       const photo = this.queue.shift();
       if (this.photos.get(photo.i) !== photo) continue;
@@ -94,7 +110,10 @@ export class Mosaic {
       this.laid += 1;
       this.renewed();
       this.changed(photo.i);
+      // many at once after the page was opened, each at once as it arrives
+      if (this.queue.length && performance.now() - begun < WORK_MS) continue;
       await new Promise(requestAnimationFrame);
+      begun = performance.now();
     }
     this.busy = false;
   }

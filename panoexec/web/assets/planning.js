@@ -172,8 +172,9 @@ export class PlanView {
       if (one.edge === "high" || one.edge === "low") { c.moveTo(x - 5, y - 3); c.lineTo(x, y - 9); c.lineTo(x + 5, y - 3); c.moveTo(x - 5, y + 3); c.lineTo(x, y + 9); c.lineTo(x + 5, y + 3); } else { c.moveTo(x - 3, y - 5); c.lineTo(x - 9, y); c.lineTo(x - 3, y + 5); c.moveTo(x + 3, y - 5); c.lineTo(x + 9, y); c.lineTo(x + 3, y + 5); }
       c.strokeStyle = colour("card"); c.lineWidth = 2.4; c.stroke();
       const value = { high, low, left, right }[one.edge], text = minus(`${value}°`);
-      c.textAlign = "left";
-      c.lineWidth = 4; c.strokeStyle = colour("card"); c.strokeText(text, x + 24, y); c.fillStyle = colour("ink"); c.fillText(text, x + 24, y);
+      const mirrored = x + 76 > map.width, at = mirrored ? x - 24 : x + 24;
+      c.textAlign = mirrored ? "right" : "left";
+      c.lineWidth = 4; c.strokeStyle = colour("card"); c.strokeText(text, at, y); c.fillStyle = colour("ink"); c.fillText(text, at, y);
     }
     map.canvas.dataset.handles = JSON.stringify(told);
   }
@@ -191,9 +192,10 @@ export class PlanView {
     const have = data && data.state ? data.state.battery_frac : null;
     redraw(this.verdict, [answer && [answer.ok, answer.text, answer.images, answer.duration_s, answer.battery_need_frac, answer.notes, answer.certificate], fresh, rough, Math.round(100 * (have || 0))], () => this.costs(answer, fresh, rough, have));
     const reason = draft ? startReason({ answer, draft, asking: Boolean(this.asking || this.started), may: data ? (data.may || {}).start : "nothing was heard from the vehicle yet", role: model.hello ? model.hello.role : "viewer", lost: model.lostSince !== null }) : "the plan is being computed";
-    redraw(this.act, [reason, this.problem, Boolean(this.started)], () => el("div", { class: "actions" },
+    const summary = fresh ? [plural(answer.images, "image"), `${clock(answer.duration_s)} min`, isNumber(answer.battery_need_frac) ? `${percent(answer.battery_need_frac, 0)} of the battery` : null, certificateLine(answer).ok ? "proven complete" : "not proven complete"].filter(Boolean).join(" · ") : "";
+    redraw(this.act, [reason, this.problem, Boolean(this.started), summary], () => el("div", { class: "actions" },
       button(this.started ? "Starting …" : "Start", { key: "start", id: "do-start", class: "big solid primary", reason: this.started ? "sent" : reason, onclick: () => this.start(), refused: (why) => toast("why", `Start: ${why}`) }),
-      reason && !this.started ? el("p", { class: "why" }, `Start: ${reason}.`) : null, this.problem ? el("p", { class: "stage bad", role: "alert" }, el("b", {}, "refused"), el("span", {}, this.problem)) : null));
+      summary ? el("p", { class: "why" }, summary) : null, reason && !this.started ? el("p", { class: "why" }, `Start: ${reason}.`) : null, this.problem ? el("p", { class: "stage bad", role: "alert" }, el("b", {}, "refused"), el("span", {}, this.problem)) : null));
   }
   costs(answer, fresh, rough, have) {
     if (!answer) return [el("p", { class: "muted" }, "The vehicle computes its usual plan …")];

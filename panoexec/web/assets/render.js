@@ -40,6 +40,6 @@ export function progressBar(counted, standings) {
   const label = shown.map(([key, [word]]) => `${counted[key]} ${word}`).join(", ");
   return el("div", { class: "bar", role: "img", "aria-label": `Shots: ${label || "none"}` }, shown.map(([key, [, name]]) => el("i", { class: key, style: { width: rounded(counted[key] / counted.total), "--swatch": `var(--${name})` } })));
 }
-export function legend(counted, standings) {
-  return el("ul", { class: "legend" }, Object.entries(standings).filter(([key]) => counted[key] > 0).map(([key, [word, name, dash]]) => el("li", { class: dash.length ? "dashed" : "", style: { "--swatch": `var(--${name})` } }, `${counted[key]} ${word}`)));
+export function legend(counted, standings, more = "") {
+  return el("ul", { class: "legend" }, Object.entries(standings).filter(([key]) => counted[key] > 0).map(([key, [word, name, dash]]) => el("li", { class: dash.length ? "dashed" : "", style: { "--swatch": `var(--${name})` } }, `${counted[key]} ${word}`)), more ? el("li", { class: "more" }, more) : null);
 }

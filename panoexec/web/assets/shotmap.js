@@ -243,6 +243,7 @@ export function mapCard(label, options) {
   canvas.addEventListener("pointermove", () => { if (map.drag && map.drag.moved && map.followed && !map.drag.taken) setFollow(false); });
   canvas.addEventListener("keydown", (event) => { if (event.key.startsWith("Arrow")) setFollow(false); });
   const zoom = [["\u2212", "Zoom out", 1 / 1.3], ["+", "Zoom in", 1.3]].map(([text, name, by]) => el("button", { "aria-label": name, onclick: () => map.zoomBy(by) }, text));
-  const toolbar = el("div", { class: "toolbar", role: "group", "aria-label": "Map" }, el("span", { class: "toggle" }, views), options.follow === false ? null : follow, el("span", { class: "toggle" }, zoom));
+  const toolbar = el("div", { class: "toolbar", role: "group", "aria-label": "Map" }, el("span", { class: "toggle" }, views), options.follow === false ? null : follow);
+  node.append(el("span", { class: "toggle zoom", role: "group", "aria-label": "Zoom" }, zoom));
   return { map, toolbar, node };
 }

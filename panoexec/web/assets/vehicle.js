@@ -72,9 +72,8 @@ export class VehicleView {
         figure("shots", String(state.shots_done || 0), `of ${state.shots_total || 0}`), figure("retakes", String(state.retakes || 0)),
         figure("left", isNumber(state.eta_s) ? clock(state.eta_s) : "–", isNumber(state.eta_s) ? "min" : ""),
         figure(isNumber(need) ? `battery, needs ${percent(need, 0)}` : "battery", isNumber(state.battery_frac) ? percent(state.battery_frac, 0) : "–", "", short ? "alarm" : "")),
-      counted.total ? progressBar(counted, STANDINGS) : null, counted.total ? legend(counted, STANDINGS) : null,
+      counted.total ? progressBar(counted, STANDINGS) : null, counted.total ? legend(counted, STANDINGS, content ? `content: ${content}` : "") : null,
       short ? el("p", { class: "reason" }, "The battery may not last to the end of the mission.") : null,
-      content ? el("p", { class: "muted small" }, `Content of the photos: ${content}.`) : null,
     ]);
   }
   drawActions(data, model) {
@@ -139,6 +138,7 @@ export class VehicleView {
   /* The error against τ as a target: of the camera now if the vehicle tells it, else of the last photo. */
   drawAim(data) {
     const pose = data.state && data.state.pose, tau = data.mission && data.mission.tolerance_deg;
+    const current = data.state && data.state.current;
     let error = null, what = "";
     if (pose && pose.error_deg && AXES.every((axis) => isNumber(pose.error_deg[axis]))) { error = AXES.map((axis) => pose.error_deg[axis]); what = "camera now"; } else if (data.mission) {
       let last = null;
@@ -147,7 +147,9 @@ export class VehicleView {
     }
     const known = Boolean(error && tau && AXES.every((axis) => isNumber(tau[axis]) && tau[axis] > 0));
     this.parts.aim.hidden = !known;
-    redraw(this.parts.aim, [error, what, tau], () => (known ? aim(error, what, tau) : []));
+    // far outside the tolerance it is not wrong, but on its way
+    const far = known && what === "camera now" && AXES.some((axis, k) => Math.abs(error[k]) > 5 * tau[axis]);
+    redraw(this.parts.aim, [error, what, tau, far, current], () => (known ? aim(error, far ? `to ${isNumber(current) ? `shot ${current}` : "the next shot"}` : what, tau, far) : []));
   }
   drawLog(data) {
     const events = (data.mission ? data.mission.events : []).map((event) => ({ time: event.time, level: event.level, text: event.text, shot: event.shot, key: `e${event.seq}` }));
@@ -175,12 +177,12 @@ function tauBar(value, tau) {
   const share = Math.max(-1, Math.min(1, value / (tau || 1) / 1.5)), width = Math.max(1.5, 50 * Math.abs(share));
   return el("div", { class: "tau", "aria-hidden": "true" }, el("i", { class: Math.abs(value) > tau ? "over" : "", style: { left: `${share < 0 ? 50 - width : 50}%`, width: `${width}%` } }));
 }
-function aim(error, what, tau) {
+function aim(error, what, tau, far) {
   const share = AXES.map((axis, k) => error[k] / tau[axis]), out = share.some((one) => Math.abs(one) > 1);
   const clip = (x) => 50 + 32 * Math.max(-1.45, Math.min(1.45, x)), x = clip(share[2]), y = clip(-share[0]), roll = Math.max(-60, Math.min(60, 30 * share[1]));
-  return [el("div", { class: `aim ${out ? "bad" : "good"}` },
-    svg("svg", { viewBox: "0 0 100 100", role: "img", "aria-label": `Pointing error, ${out ? "outside" : "inside"} the tolerance` },
+  return [el("div", { class: `aim ${far ? "run" : out ? "bad" : "good"}` },
+    svg("svg", { viewBox: "0 0 100 100", role: "img", "aria-label": `Pointing error, ${far ? "on the way to the target" : out ? "outside the tolerance" : "inside the tolerance"}` },
       svg("circle", { class: "ring", cx: 50, cy: 50, r: 32 }), svg("path", { class: "axis", d: "M50 4V96M4 50H96", fill: "none" }),
       svg("path", { class: "cross", d: "M-9 0H9M0 -9V9", fill: "none", transform: `translate(${x.toFixed(2)} ${y.toFixed(2)}) rotate(${roll.toFixed(1)})` })),
-    el("div", {}, el("h2", {}, out ? "Outside τ" : "Inside τ"), el("p", { class: "muted small" }, what), el("div", {}, AXES.map((axis, k) => el("div", { class: "small" }, `${axis} ${signed(error[k])} of ±${tau[axis]}°`)))))];
+    el("div", {}, el("h2", {}, far ? "On its way" : out ? "Outside τ" : "Inside τ"), el("p", { class: "muted small" }, what), el("div", {}, AXES.map((axis, k) => el("div", { class: "small" }, `${axis} ${signed(error[k])} of ±${tau[axis]}°`)))))];
 }

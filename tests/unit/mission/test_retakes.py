@@ -102,13 +102,15 @@ def test_an_exposure_outside_tolerance_counts_when_the_overlaps_hold_as_measured
 
 def test_the_estimate_follows_what_shots_really_cost() -> None:
     estimates = []
+    settings = some_settings(interval_s=3.0)
 
     async def script(world: World, mission: Mission) -> None:
         for count in range(1, 24):
             await until_event(world, ev.ShotAccepted, count)
             estimates.append(mission.eta_s)
+            assert mission.battery_need_frac == pytest.approx(mission.eta_s / settings.guards.hover_s)
 
-    world = fly(script, plan=a_plan(24), settings=some_settings(interval_s=3.0))
+    world = fly(script, plan=a_plan(24), settings=settings)
     times = [event.time_utc_s for event in world.sink.of(ev.ShotAccepted)]
     for count, estimate in enumerate(estimates, start=1):
         if count >= 8:
