@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
+import ssl
 from collections.abc import AsyncIterator, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
@@ -23,6 +24,7 @@ from panoexec.web.users import new_user, write_users
 from tests.support.web import FakeBrowser, FakeVehicle, base, browser, fake_vehicle, web_server
 from tests.waiting import eventually
 from tests.wire.broker import Broker, needs_mosquitto, running_broker
+from tests.wire.certificates import Authority, needs_openssl
 
 pytestmark = needs_mosquitto
 PAUSE = {"type": "command", "id": "pause-0001", "vehicle": "drone", "command": "pause", "fields": {}}
@@ -258,3 +260,32 @@ async def test_a_thousand_connections_that_say_nothing_keep_nobody_out(broker: B
         await still_works(server, vehicle, "pause-0006")
         for _, writer in idle:
             writer.close()
+
+
+@needs_openssl
+async def test_with_a_certificate_the_page_is_served_by_tls_and_the_cookie_is_for_tls(
+    broker: Broker, users_file: Path, tmp_path: Path
+) -> None:
+    authority = Authority(tmp_path / "ca")
+    issued = authority.issue("localhost")
+    files = {"cert_file": issued.cert, "key_file": issued.key}
+    async with web_server(broker.port, users_file=users_file, **files) as server:
+        url = f"https://localhost:{server.port}"
+        trust = aiohttp.TCPConnector(ssl=ssl.create_default_context(cafile=str(authority.cert)))
+        async with aiohttp.ClientSession(connector=trust, headers={"Origin": url}) as session:
+            form = {"name": "anna", "password": "correct horse"}
+            async with session.post(f"{url}/login", data=form, allow_redirects=False) as answer:
+                assert answer.cookies["panoexec_session"]["secure"]
+            async with session.ws_connect(f"{url}/socket", origin=url) as one:
+                assert json.loads(await one.receive_str())["user"] == "anna"
+        with pytest.raises(aiohttp.ClientError):
+            async with aiohttp.ClientSession() as plain, plain.get(f"http://localhost:{server.port}/"):
+                pass
+
+
+def test_a_certificate_that_cannot_be_used_is_named(tmp_path: Path) -> None:
+    (tmp_path / "c").write_text("none", encoding="utf-8")
+    web = WebSection(cert_file=tmp_path / "c", key_file=tmp_path / "c")
+    options = Options(mqtt=MqttSection(host="127.0.0.1"), web=web, host="127.0.0.1", port=0)
+    with pytest.raises(UsageError, match="cert_file"):
+        Server(options)
