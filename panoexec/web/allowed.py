@@ -14,13 +14,14 @@ _FLYING: Final = frozenset({"preflight", "capturing", "paused", "finishing"})
 _NO_MISSION: Final = "no mission is under way"
 
 
-def allowed(status: str, state: Mapping[str, Any] | None, *, link: bool) -> dict[str, str]:
+def allowed(status: str, state: Mapping[str, Any] | None, *, link: bool, starting: bool = False) -> dict[str, str]:
     """For each command "" or the reason why it cannot be sent.
 
     Args:
         status: of the vehicle, `online`, `offline` or "".
         state: its newest state.
         link: whether the broker is connected.
+        starting: whether a `start` of this server waits for its answer: its mission is being planned.
     """
     commands = ("plan", "start", "pause", "resume", "skip", "repeat", "finish", "abort")
     if not link:
@@ -35,13 +36,17 @@ def allowed(status: str, state: Mapping[str, Any] | None, *, link: bool) -> dict
     finishing = "the mission is finishing" if now == "finishing" else ""
     out = {
         "plan": "",
-        "start": "a mission is under way" if flying else _not_ready(state),
+        "start": "a mission is under way"
+        if flying
+        else "a mission is being planned"
+        if starting
+        else _not_ready(state),
         "pause": idle or finishing or ("the mission is paused already" if now == "paused" else ""),
         "resume": "",
         "skip": idle or finishing,
         "repeat": idle or finishing,
         "finish": idle or finishing,
-        "abort": "" if flying or resumable else _NO_MISSION,
+        "abort": "" if flying or resumable or starting else _NO_MISSION,
     }
     if flying and now != "paused":
         out["resume"] = "the mission is not paused"

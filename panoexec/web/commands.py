@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections import OrderedDict, deque
+from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -77,10 +77,15 @@ class Commands:
         self._entries: OrderedDict[str, Entry] = OrderedDict()
         self._waiting: dict[str, asyncio.Future[Response]] = {}
         self._logs: dict[str, deque[Entry]] = {}
+        self._starting: Counter[str] = Counter()
 
     def log(self, vehicle: str) -> list[dict[str, Any]]:
         """What was commanded, oldest first."""
         return [entry.document() for entry in self._logs.get(vehicle, ())]
+
+    def is_starting(self, vehicle: str) -> bool:
+        """Whether a `start` waits for its answer."""
+        return self._starting.get(vehicle, 0) > 0
 
     # --- from browsers
 
@@ -151,6 +156,8 @@ class Commands:
             given = entry.fields.get("reason")
             told = f"by {entry.who}" + (f": {given}" if isinstance(given, str) and given else "")
             fields["reason"] = told[:200] if given is None or isinstance(given, str) else given
+        if entry.command == "start":
+            self._count_start(entry.vehicle, 1)
         try:
             async with asyncio.timeout(wait_s):
                 await self._link.request(
@@ -168,6 +175,12 @@ class Commands:
             self._settle(entry, response)
         finally:
             self._waiting.pop(transaction, None)
+            if entry.command == "start":
+                self._count_start(entry.vehicle, -1)
+
+    def _count_start(self, vehicle: str, change: int) -> None:
+        self._starting[vehicle] += change
+        self._fleet.tell_again(vehicle)
 
     def _settle(self, entry: Entry, response: Response) -> None:
         error = table(response.document.get("error"))

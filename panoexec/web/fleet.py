@@ -86,12 +86,14 @@ class Fleet:
     Attributes:
         vehicles: by id.
         on_response: called with each answer of a vehicle.
+        is_starting: whether a mission of a vehicle is being planned.
         on_link: called when the connection to the broker was made or lost.
     """
 
     def __init__(self, audience: Audience) -> None:
         self.vehicles: dict[str, Vehicle] = {}
         self.on_response: Callable[[Response], None] = lambda _: None
+        self.is_starting: Callable[[str], bool] = lambda _: False
         self.on_link: Callable[[], None] = lambda: None
         self.link_up = False
         self._audience = audience
@@ -139,7 +141,7 @@ class Fleet:
             vehicle=vehicle_id,
             status=vehicle.status,
             state=vehicle.state,
-            may=allowed(vehicle.status, vehicle.state, link=self.link_up),
+            may=self._may(vehicle),
             marks=unfolded(vehicle.state),
             mission=None if vehicle.mission is None else vehicle.mission.document(),
             log=log,
@@ -264,11 +266,21 @@ class Fleet:
         if vehicle.mission is not None and self._audience.is_followed(vehicle.id):
             self._audience.tell(vehicle.id, encode("mission", vehicle=vehicle.id, mission=vehicle.mission.document()))
 
+    def _may(self, vehicle: Vehicle) -> dict[str, str]:
+        starting = self.is_starting(vehicle.id)
+        return allowed(vehicle.status, vehicle.state, link=self.link_up, starting=starting)
+
+    def tell_again(self, vehicle_id: str) -> None:
+        """Tell the state of a vehicle, because what it can be commanded has changed."""
+        vehicle = self.vehicles.get(vehicle_id)
+        if vehicle is not None:
+            self._tell_state(vehicle)
+
     def _tell_state(self, vehicle: Vehicle) -> None:
         if not self._audience.is_followed(vehicle.id):
             return
-        may = allowed(vehicle.status, vehicle.state, link=self.link_up)
-        message = encode("state", vehicle=vehicle.id, state=vehicle.state, may=may, marks=unfolded(vehicle.state))
+        fields = {"state": vehicle.state, "may": self._may(vehicle), "marks": unfolded(vehicle.state)}
+        message = encode("state", vehicle=vehicle.id, **fields)
         self._audience.tell(vehicle.id, message)
 
 

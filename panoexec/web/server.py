@@ -85,6 +85,7 @@ class Server:
         self._tasks: asyncio.TaskGroup | None = None
         self._commands = Commands(link=self._link, fleet=self._fleet, browsers=self._browsers, spawn=self._spawn)
         self._fleet.on_response = self._commands.hear
+        self._fleet.is_starting = self._commands.is_starting
         secure = self._tls is not None or any(one.startswith("https:") for one in section.origins)
         self._pages = Pages(access=self._access, fleet=self._fleet, tls=secure)
         self._cameras: list[Any] = []

@@ -145,6 +145,23 @@ async def test_commands_reach_the_vehicle_once_and_both_operators_see_who_comman
                 ]
 
 
+async def test_planning_can_be_aborted(broker: Broker) -> None:
+    async with fake_vehicle(broker.port) as vehicle, web_server(broker.port) as server:
+        vehicle.answer = lambda command, _fields: None if command == "start" else {"data": {}}
+        async with browser(server, follow="drone") as page:
+            assert page.of("vehicle")[0]["may"]["abort"]
+            await page.say(type="command", id="start-0001", vehicle="drone", command="start", fields={})
+            planning = await page.until("state", lambda one: one["may"]["abort"] == "")
+            assert planning["may"]["start"] == "a mission is being planned"
+            assert (await page.command("abort-0001", "abort"))["stage"] == "done"
+            transaction = next(fields["transaction"] for command, fields in vehicle.requests if command == "start")
+            refusal = {"code": "refused", "message": "aborted", "field": None}
+            answer = {"transaction": transaction, "status": "error", "error": refusal, "data": None}
+            page.heard.clear()
+            await vehicle.publish("response/start", answer)
+            await page.until("state", lambda one: one["may"]["abort"] != "" and one["may"]["start"] == "")
+
+
 async def test_commands_of_other_ground_stations_and_servers_are_in_the_log(broker: Broker) -> None:
     async with (
         fake_vehicle(broker.port) as vehicle,
