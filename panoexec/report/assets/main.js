@@ -114,10 +114,13 @@ function sphere() {
   const map = new SphereMap(canvas);
   const entry = (text, name, stroke) => el("span", { class: stroke ? "stroke" : "", style: { "--swatch": `var(--${name})` } }, text);
   const relabel = () => {
+    const found = certificate && certificate.content && certificate.content.checked ? certificate.content : null;
     const kinds = new Set(shots.map((shot) => shot.kind)), gap = certificate ? certificate.uncovered_fraction > 0 : true;
     legend.replaceChildren(...[
       ...(map.paint === "coverage" ? [1, 2, 3].map((k) => entry(plural(k, "image"), `c${k}`)).concat(entry("4 or more", "c4"), gap ? entry("gap", "c0") : null, entry("outside the band", "outside")) : []),
       kinds.has("retaken") ? entry("accepted after a retake", "warn", true) : null, kinds.has("patch") ? entry("patch shot", "patch", true) : null, kinds.has("bridge") ? entry("bridge shot", "accent", true) : null,
+      found && found.ties.length ? entry("tie between photos", "tie") : null, found && found.bridges.length ? entry("tie without which a group falls apart", "lone-tie") : null,
+      found && found.geometry_only.length ? entry("by geometry only", "warn") : null,
       kinds.has("missing") ? entry("missing", "bad", true) : null,
     ].filter(Boolean));
   };

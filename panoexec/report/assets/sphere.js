@@ -128,14 +128,17 @@ class SphereMap extends SphereView {
     if (!content || !content.checked) return;
     const c = this.context, basis = this.basis(), places = new Map(shots.map((shot) => [shot.i, shot.boresight]));
     const bridges = new Set(content.bridges.map(([a, b]) => `${Math.min(a, b)}-${Math.max(a, b)}`));
-    for (const [a, b] of content.ties) {
-      const from = places.get(a), to = places.get(b);
-      if (!from || !to) continue;
-      const bridge = bridges.has(`${Math.min(a, b)}-${Math.max(a, b)}`);
-      c.lineWidth = bridge ? 2.2 : 0.9;
-      c.globalAlpha = bridge ? 1 : 0.55;
-      c.strokeStyle = bridge ? colour("warn") : colour("good");
-      this.line(arc(from, to), basis);
+    /* a dark edge first: a thin line alone is lost on a photo of the same colour */
+    for (const edge of [true, false]) {
+      for (const [a, b] of content.ties) {
+        const from = places.get(a), to = places.get(b);
+        if (!from || !to) continue;
+        const bridge = bridges.has(`${Math.min(a, b)}-${Math.max(a, b)}`);
+        c.lineWidth = (bridge ? 2.4 : 1.5) + (edge ? 2 : 0);
+        c.globalAlpha = edge ? 0.5 : 1;
+        c.strokeStyle = edge ? "#000" : bridge ? "#ffb347" : "#5cf2a0";
+        this.line(arc(from, to), basis);
+      }
     }
     c.globalAlpha = 1;
     for (const i of content.geometry_only) if (places.has(i)) this.dot(places.get(i), basis, colour("warn"), 4);
