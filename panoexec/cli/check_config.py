@@ -11,8 +11,10 @@ import os
 from pathlib import Path
 
 from panoexec.cli.output import note, print_facts, print_json
-from panoexec.cli.serve import checked_config
+from panoexec.daemon.mission_request import configuration_problems
 from panoexec.errors import InputFileError, UsageError
+from panoexec.inputs.config import Config, load_config
+from panoexec.web.checks import web_problems
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("name one configuration file: panoexec check-config FILE")
     path = args.file or args.config
     try:
-        config = checked_config(path, os.environ)
+        config = _checked(path)
     except InputFileError as error:
         if args.json:
             print_json({"file": error.source, "ok": False, "problems": error.problems})
@@ -55,3 +57,15 @@ def run(args: argparse.Namespace) -> int:
         ]
     )
     return 0
+
+
+def _checked(path: Path) -> Config:
+    """The configuration, of the daemon and of the page's server.
+
+    Raises:
+        InputFileError: with every problem.
+    """
+    config = load_config(path, os.environ)
+    if problems := [*configuration_problems(config), *web_problems(config.web)]:
+        raise InputFileError(str(path), problems)
+    return config

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import json
 import resource
-import ssl
 import sys
 from collections.abc import Coroutine
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from panoexec.inputs.config import MqttSection, WebSection
 from panoexec.web.access import Access, is_loopback
 from panoexec.web.audience import Browsers
 from panoexec.web.broker import BrokerLink
+from panoexec.web.checks import needs_users, server_tls
 from panoexec.web.commands import Commands
 from panoexec.web.fleet import Fleet
 from panoexec.web.library import Library, ended
@@ -73,11 +73,8 @@ class Server:
         self._options = options
         section = options.web
         if not is_loopback(options.host) and section.users_file is None:
-            raise UsageError(
-                f"{options.host} can be reached by others: make users with panoexec web --add-user NAME and name their "
-                "file as users_file in [web], or listen at 127.0.0.1"
-            )
-        self._tls = _tls(section)
+            raise UsageError(needs_users(options.host))
+        self._tls = server_tls(section)
         self._access = Access(section.users_file, origins=section.origins)
         self._browsers = Browsers()
         self._fleet = Fleet(self._browsers)
@@ -167,19 +164,6 @@ class Server:
         with contextlib.suppress(ValueError):
             self._cameras = json.loads(out)
         self._browsers.tell_all(encode("cameras", cameras=self._cameras))
-
-
-def _tls(section: WebSection) -> ssl.SSLContext | None:
-    if section.cert_file is None or section.key_file is None:
-        return None
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
-    try:
-        # without a callback OpenSSL asks for the passphrase on the terminal and blocks
-        context.load_cert_chain(section.cert_file, section.key_file, password=lambda: "")
-    except (OSError, ValueError) as error:
-        raise UsageError(f"web.cert_file {section.cert_file}, key_file {section.key_file}: {error}") from error
-    return context
 
 
 def _allow_open_files() -> None:

@@ -43,20 +43,29 @@ def test_all_problems_come_at_once_one_line_each(file: Path, capsys: pytest.Capt
     file.write_text(
         '[vehicle]\nconnection = "udpin:0.0.0.0"\n[camera]\nprofile = "no-such"\n'
         f'[mqtt]\nhost = "b"\nusername = "u"\npassword_file = "{secret}"\nca_file = "{file.parent}/none.crt"\n'
+        f'[web]\nlisten = "0.0.0.0:8090"\nusers_file = "{secret}"\ncert_file = "{secret}"\nkey_file = "{secret}"\n'
     )
     assert run(["check-config", str(file)]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     lines = err.splitlines()
-    assert len(lines) == 4
+    assert len(lines) == 6
     assert all(line.startswith(f"panoexec: {file}: ") for line in lines)
     for part in (
         "readable by everybody on this computer",
         "ca_file",
         "no camera profile 'no-such'",
         "vehicle.connection",
+        "web.users_file",
+        "web.cert_file",
     ):
         assert part in err
+
+
+def test_a_page_that_others_reach_needs_users(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file.write_text('[web]\nlisten = "0.0.0.0:8090"\n')
+    assert run(["check-config", str(file)]) == 2
+    assert "users_file" in capsys.readouterr().err
 
 
 def test_problems_as_json(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
