@@ -71,6 +71,7 @@ class StatePublisher:
         self._changed = changed
         self._seq = 0
         self._published_plan: Plan | None = None
+        self._published_for = ""
 
     async def run(self) -> None:
         """Publish the state on change, each second while a mission flies, and every 15 s otherwise."""
@@ -103,12 +104,15 @@ class StatePublisher:
         """Publish the current plan, retained; an empty payload without one, so that none from before a restart stays.
 
         Args:
-            again: even if this plan was published already.
+            again: even if this plan was published for this mission already.
         """
-        plan = self._missions.plan
-        if self._mqtt is None or (plan is self._published_plan and plan is not None and not again):
+        plan, record = self._missions.plan, self._missions.record
+        mission_id = "" if record is None else record.mission_id
+        # a mission may have the very plan of the one before; who folds what is published needs it all the same
+        known = plan is self._published_plan and mission_id == self._published_for
+        if self._mqtt is None or (known and plan is not None and not again):
             return
-        self._published_plan = plan
+        self._published_plan, self._published_for = plan, mission_id
         payload = b"" if plan is None else dump_json(plan_to_data(plan))
         self._mqtt.publish(self._mqtt.topics.plan, payload, retain=True)
 

@@ -21,6 +21,7 @@ export class SphereView {
     this.drag = null;
     this.width = this.height = 0;
     this.ratio = 1;
+    this.dragScale = 0.6;
     this.frames = 0;
     this.listen();
     responsive(canvas.parentElement, (width) => {
@@ -100,7 +101,7 @@ export class SphereView {
     state.yaw = this.yaw.toFixed(2); state.pitch = this.pitch.toFixed(2); state.view = this.view;
   }
   drawTexture({ ahead, right, down }) {
-    const { texture } = this, scale = this.drag ? 0.6 : Math.min(1.5, this.ratio);
+    const { texture } = this, scale = this.drag ? this.dragScale : Math.min(1.5, this.ratio);
     if (this.view === "map") {
       const sheet = this.asCanvas(texture), shift = ((this.yaw % 360) / 360) * this.width;
       for (const k of [-2, -1, 0, 1, 2]) this.context.drawImage(sheet, k * this.width - shift, 0, this.width, this.height);
@@ -111,7 +112,10 @@ export class SphereView {
     if (key !== this.sheetKey || this.sheetOf !== texture) {
       this.sheetKey = key;
       this.sheetOf = texture;
+      const begun = performance.now();
       this.project(texture, w, h, r, ahead, right, down);
+      // coarser while it is dragged on a slow computer: the sphere has to follow the finger
+      if (this.drag) this.dragScale = Math.max(0.35, Math.min(0.6, this.dragScale * (performance.now() - begun > 8 ? 0.93 : 1.04)));
     }
     this.context.imageSmoothingEnabled = true;
     this.context.drawImage(this.sheet, 0, 0, this.width, this.height);

@@ -51,7 +51,8 @@ export class ShotMap extends SphereView {
       let shape = this.outlines.get(key);
       if (!shape) {
         const m = matrix(q);
-        shape = { m, outline: outlineOf(m, w, h), boresight: boresightOf(m) };
+        const outline = outlineOf(m, w, h);
+        shape = { m, outline, coarse: outline.filter((_, k) => k % 3 === 0), boresight: boresightOf(m) };
         this.outlines.set(key, shape);
       }
       return { shot, i: shot.i, standing: standing(vehicle, shot), measured: Boolean(taken && taken.q), ...shape };
@@ -92,7 +93,7 @@ export class ShotMap extends SphereView {
     return best && best.shot;
   }
   drawShots() {
-    const c = this.context, basis = this.basis(), dense = this.footprints.length > 60;
+    const c = this.context, basis = this.basis(), dense = this.footprints.length > 60, quick = dense && this.drag;
     const order = ["todo", "done", "retaken", "doubtful", "again", "missing", "current"];
     for (const key of order) {
       const [, name, dash] = STANDINGS[key];
@@ -113,7 +114,7 @@ export class ShotMap extends SphereView {
         }
         c.globalAlpha = key === "todo" ? 0.75 : 1;
         c.setLineDash(dash);
-        this.line(one.outline, basis);
+        this.line(quick ? one.coarse : one.outline, basis);
         if (!this.onPhotos) { c.setLineDash([]); this.dot(one.boresight, basis, colour(name), dense ? 1.8 : 2.8); }
       }
     }
@@ -155,7 +156,7 @@ export class ShotMap extends SphereView {
     this.ties = 0;
     if (!mission) return;
     const bridges = new Set(((mission.content && mission.content.bridges) || []).map(([a, b]) => `${Math.min(a, b)}-${Math.max(a, b)}`));
-    const seen = new Set();
+    const seen = new Set(), warn = colour("warn"), tied = colour("tie");
     for (const one of this.footprints) {
       const taken = acceptedOf(one.shot), content = taken && taken.content;
       if (!content) continue;
@@ -164,10 +165,10 @@ export class ShotMap extends SphereView {
         if (!other || seen.has(key)) continue;
         seen.add(key);
         const bridge = bridges.has(key);
-        c.strokeStyle = bridge ? colour("warn") : colour("tie");
+        c.strokeStyle = bridge ? warn : tied;
         c.lineWidth = bridge ? 2.4 : 1.3;
         c.globalAlpha = bridge ? 1 : 0.8;
-        this.line(arc(one.boresight, other.boresight), basis);
+        this.line(arc(one.boresight, other.boresight, this.drag ? 3 : 8), basis);
       }
       if (content.verdict === "untied" || content.verdict === "contradicts") {
         const near = this.footprints.filter((other) => other !== one && acceptedOf(other.shot))
