@@ -30,7 +30,7 @@ MIN_OVERLAP: Final = 0.03
 """Least overlap, both ways, of photos that are compared."""
 _RATIOS: Final = (1.0, 0.99, 1.01, 0.98, 1.02, 0.97, 1.03)
 """Focal lengths that are tried with the first photos, as shares of the nominal one: stated ones are rounded."""
-_GUESS_PAIRS: Final = 2
+_GUESS_PAIRS, _MOST_GUESS_PAIRS = 2, 3
 _GUESS_CORNERS: Final = 20
 _BETTER: Final = 1.15
 """How much better than the nominal focal length another one has to be."""
@@ -267,6 +267,8 @@ class Examiner:
         if len(pairs) < _GUESS_PAIRS:
             return
         self._guessed = True
+        # a bad photo among the first ones tells nothing
+        pairs = sorted(pairs, key=lambda pair: -self._ties[pair].points)[:_MOST_GUESS_PAIRS]
         ties = [self._ties[pair] for pair in pairs]
         if all(one.points >= _WELL_FRAC * one.searched and one.rms_px <= _WELL_PX for one in ties):
             return
