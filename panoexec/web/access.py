@@ -20,6 +20,10 @@ from panoexec.errors import InputFileError, PanoexecError
 from panoexec.web.users import Role, StoredUser, new_user, read_users
 
 COOKIE: Final = "panoexec_session"
+PHOTOS: Final = "panoexec_photos"
+"""A second cookie that opens photos and nothing else: a report runs in an origin of its own, from which browsers send
+no cookie that is SameSite=Strict."""
+
 SESSION_S: Final = 12 * 3600.0
 _MOST_SESSIONS: Final = 1_000
 _WINDOW_S: Final = 60.0
@@ -97,6 +101,7 @@ class Access:
         self._users: Mapping[str, StoredUser] = {}
         self._stamp: tuple[int, int, int] | None = None
         self._sessions: OrderedDict[str, _Session] = OrderedDict()
+        self._photo_keys: OrderedDict[str, str] = OrderedDict()
         self._failures: OrderedDict[str, deque[float]] = OrderedDict()
         self._hashing = asyncio.Semaphore(1)
         self._waiting = 0
@@ -111,7 +116,10 @@ class Access:
         """The user of a session; anybody without logins; None for nobody."""
         if not self.needs_login:
             return ANYBODY
-        session = self._sessions.get(_digest(token)) if token else None
+        return self._user_of(_digest(token)) if token else None
+
+    def _user_of(self, key: str) -> User | None:
+        session = self._sessions.get(key)
         if session is None or session.ends_s < self._clock():
             return None
         stored = self._current_users().get(session.name)
@@ -134,6 +142,15 @@ class Access:
         if origin is None:
             return not acts
         return origin.lower() in self._origins or _place(origin) == host
+
+    def photo_token(self, token: str) -> str:
+        """For the cookie `PHOTOS`: ends with the session, and tells nothing of its token."""
+        return _digest(f"photos {token}")
+
+    def may_see_photos(self, photo_token: str | None) -> User | None:
+        """The user of a session, by its photo token; None for nobody."""
+        key = self._photo_keys.get(_digest(photo_token)) if photo_token else None
+        return None if key is None else self._user_of(key)
 
     # --- logins
 
@@ -176,8 +193,11 @@ class Access:
             self._failures[key].pop()
         token = secrets.token_urlsafe(32)
         self._sessions[_digest(token)] = _Session(stored.name, self._clock() + SESSION_S)
+        self._photo_keys[_digest(self.photo_token(token))] = _digest(token)
         while len(self._sessions) > _MOST_SESSIONS:
             self._sessions.popitem(last=False)
+        while len(self._photo_keys) > _MOST_SESSIONS:
+            self._photo_keys.popitem(last=False)
         _log.info("logged in", user=stored.name, role=stored.role, address=address)
         return token
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 from collections.abc import Awaitable, Callable
 from typing import Final
 
 from aiohttp import web
 
 from panoexec import __version__
-from panoexec.web.access import COOKIE, SESSION_S, Access, LoginRefusedError, User
+from panoexec.web.access import COOKIE, PHOTOS, SESSION_S, Access, LoginRefusedError, User
 from panoexec.web.fleet import Fleet
 from panoexec.web.headers import PAGE_POLICY, secured
 from panoexec.web.protocol import is_mission, is_vehicle
@@ -28,6 +29,7 @@ _OPEN: Final = frozenset({"/login", "/logout", "/register_service"})
 """What needs no session, beside the files of the page, which hold no secret."""
 
 _SAFE: Final = frozenset({"GET", "HEAD"})
+_PHOTO: Final = re.compile(r"/missions/[^/]+/images/[^/]+")
 _BODY_S: Final = 10.0
 
 
@@ -77,6 +79,8 @@ class Pages:
         if not self._access.may_come_from(host=host, origin=origin, acts=acts):
             raise web.HTTPForbidden
         user = self._access.user(request.cookies.get(COOKIE))
+        if user is None and request.method in _SAFE and _PHOTO.fullmatch(request.path):
+            user = self._access.may_see_photos(request.cookies.get(PHOTOS))
         if user is not None:
             request[USER] = user
         elif request.path not in _OPEN and not request.path.startswith("/assets/"):
@@ -143,12 +147,17 @@ class Pages:
         response.set_cookie(
             COOKIE, token, max_age=int(SESSION_S), path="/", httponly=True, samesite="Strict", secure=self._tls
         )
+        photos = self._access.photo_token(token)
+        response.set_cookie(
+            PHOTOS, photos, max_age=int(SESSION_S), path="/missions", httponly=True, samesite="Lax", secure=self._tls
+        )
         return response
 
     async def _log_out(self, request: web.Request) -> web.StreamResponse:
         self._access.log_out(request.cookies.get(COOKIE))
         response = web.Response(status=303, headers={"Location": "/login"})
         response.del_cookie(COOKIE, path="/", httponly=True, samesite="Strict", secure=self._tls)
+        response.del_cookie(PHOTOS, path="/missions", httponly=True, samesite="Lax", secure=self._tls)
         return response
 
 

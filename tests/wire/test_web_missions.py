@@ -1,5 +1,6 @@
 """The missions of the server's computer: listed, downloaded whole or in parts, deleted when they are finished."""
 
+# ruff: noqa: SIM117  (what is open inside of what is easier to see)
 from __future__ import annotations
 
 import asyncio
@@ -19,6 +20,7 @@ from panoexec.mission.log.states import MissionState
 from panoexec.store.journal import SqliteJournal
 from panoexec.store.journal_layout import MISSION_ID
 from panoexec.web.server import Server
+from panoexec.web.users import new_user, write_users
 from tests.support.web import base, browser, web_server
 from tests.wire.broker import Broker, needs_mosquitto, running_broker
 
@@ -116,6 +118,41 @@ async def test_only_photos_that_the_manifest_names_are_served(session: aiohttp.C
     ):
         async with session.get(path) as answer:
             assert answer.status == 404, path
+
+
+async def test_a_report_in_its_sandbox_opens_photos_and_nothing_else(
+    broker: Broker, storage: Path, tmp_path: Path
+) -> None:
+    """Browsers send it no cookie that is SameSite=Strict."""
+    users = tmp_path / "users"
+    write_users(users, {"anna": new_user("anna", "operator", "correct horse")})
+    async with web_server(broker.port, storage=storage, users_file=users) as server:
+        headers, form = {"Origin": base(server)}, {"name": "anna", "password": "correct horse"}
+        async with aiohttp.ClientSession(base(server), headers=headers) as session:
+            async with session.post("/login", data=form, allow_redirects=False) as answer:
+                photos = answer.cookies["panoexec_photos"]
+                strict = answer.cookies["panoexec_session"]
+        assert (photos["samesite"], photos["httponly"], photos["path"]) == ("Lax", True, "/missions")
+        only = {"Cookie": f"panoexec_photos={photos.value}"}
+        async with aiohttp.ClientSession(base(server), headers=headers | only) as session:
+            async with session.get(f"/missions/{DONE}/images/IMG_00001.jpg") as answer:
+                assert answer.status == 200
+            for path in ("/api/missions", f"/missions/{DONE}/download", f"/missions/{DONE}/report", "/socket"):
+                async with session.get(path) as answer:
+                    assert answer.status == 401, path
+            async with session.delete(f"/missions/{DONE}", headers={"X-Confirm": DONE}) as answer:
+                assert answer.status == 401
+        wrong = {"Cookie": f"panoexec_photos={strict.value}; panoexec_session={photos.value}"}
+        async with aiohttp.ClientSession(base(server), headers=headers | wrong) as session:
+            async with session.get(f"/missions/{DONE}/images/IMG_00001.jpg") as answer:
+                assert answer.status == 401
+        both = {"Cookie": f"panoexec_session={strict.value}"}
+        async with aiohttp.ClientSession(base(server), headers=headers | both) as session:
+            async with session.post("/logout", allow_redirects=False) as answer:
+                assert answer.status == 303
+        async with aiohttp.ClientSession(base(server), headers=headers | only) as session:
+            async with session.get(f"/missions/{DONE}/images/IMG_00001.jpg") as answer:
+                assert answer.status == 401, "it ends with the session"
 
 
 async def test_a_download_is_resumed_where_it_broke_off(session: aiohttp.ClientSession, storage: Path) -> None:
