@@ -119,6 +119,7 @@ class PageServer:
         app.router.add_get("/api/missions", self._missions)
         app.router.add_delete("/missions/{id}", self._delete)
         app.router.add_get("/", self._page)
+        app.router.add_get("/login", self._page)
         app.router.add_get("/v/{vehicle}", self._page)
         self._runner = web.AppRunner(app)
         await self._runner.setup()
@@ -177,7 +178,7 @@ class PageServer:
         ]
 
     async def _page(self, request: web.Request) -> web.Response:
-        page = self._files["index.html"].content
+        page = self._files["login.html" if request.path == "/login" else "index.html"].content
         return web.Response(body=page, content_type="text/html", headers={"Content-Security-Policy": PAGE_POLICY})
 
     async def _asset(self, request: web.Request) -> web.Response:

@@ -183,6 +183,16 @@ def test_a_command_that_was_not_answered_is_repeated_with_its_id(page: Browser, 
     assert not [one for one in server.heard if one["type"] == "command"]
 
 
+def test_a_command_of_long_ago_is_not_repeated(page: Browser, server: PageServer) -> None:
+    page.click("#do-pause")
+    server.wait_for("command", command="pause")
+    page.value("Date.now = ((now) => () => now() + 60000)(Date.now), 0")
+    server.hang_up()
+    server.wait_for("follow", vehicle="drone")
+    page.until("document.getElementById('toasts').innerText.includes('look at the state, then command again')")
+    assert not [one for one in server.heard if one["type"] == "command"]
+
+
 def test_abort_asks_once_and_cancel_sends_nothing(page: Browser, server: PageServer) -> None:
     page.click("#do-abort")
     page.until("document.querySelector('dialog[open]') !== null")
@@ -394,4 +404,7 @@ def test_everybody_can_use_it(page: Browser, server: PageServer, width: int, dar
     page.visit(f"{server.url}/#")
     page.until("document.querySelectorAll('#vehicles > li').length === 2")
     found["fleet"] = problems(page)
+    page.visit(f"{server.url}/login?failed=wrong")
+    assert "Name or password are wrong." in text(page, "form")
+    found["login"] = problems(page)
     assert found == {name: [] for name in found}

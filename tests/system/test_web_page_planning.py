@@ -82,3 +82,66 @@ def test_a_plan_without_a_proof_asks_and_wrong_numbers_start_nothing(browser: Br
     assert "Highest must be −90° to 90°." in text(browser, ".fields")
     browser.click("#do-start")
     assert not [one for one in server.heard if one.get("command") == "start"]
+
+
+# ten thousand drags of any edge to any place: whatever comes of them can be planned, and moves no other edge
+_DRAGS = """
+(async () => {
+  const { dragged, faults, handles } = await import("/assets/draft.js");
+  let seed = 7, draft = { camera: "", overlap: 0.2, elevation: [-90, 30], azimuth: [-180, 180] };
+  const random = () => { seed = (seed * 1103515245 + 12345) % 2147483648; return seed / 2147483648; };
+  const wrong = [], turn = (a) => ((a % 360) + 360) % 360;
+  for (let k = 0; k < 10000; k += 1) {
+    if (k % 500 === 0) draft = { ...draft, elevation: [-90, 30], azimuth: k % 1000 ? [-180, 180] : [100, 260] };
+    const places = handles(draft, random() * 360 - 180), { edge } = places[Math.floor(random() * places.length)];
+    const next = dragged(draft, edge, random() * 200 - 100, random() * 360 - 180);
+    const same = {
+      high: next.elevation[0] === draft.elevation[0] && String(next.azimuth) === String(draft.azimuth),
+      low: next.elevation[1] === draft.elevation[1] && String(next.azimuth) === String(draft.azimuth),
+      right: next.azimuth[0] === draft.azimuth[0] && String(next.elevation) === String(draft.elevation),
+      left: turn(next.azimuth[1]) === turn(draft.azimuth[1]) && String(next.elevation) === String(draft.elevation),
+    }[edge];
+    if (!same || Object.keys(faults(next)).length) wrong.push([edge, draft, next, faults(next)]);
+    draft = next;
+  }
+  return wrong.slice(0, 3);
+})()
+"""
+
+
+def test_no_drag_makes_a_band_that_cannot_be_planned(browser: Browser, server: PageServer) -> None:
+    browser.visit(f"{server.url}/login")
+    assert browser.value(_DRAGS) == []
+
+
+_WHO_COMES_FIRST = """
+(async () => {
+  const { headline, urgency } = await import("/assets/model.js");
+  const { actions } = await import("/assets/actions.js");
+  const links = { autopilot: { ok: true, age_s: 0 }, gimbal: { ok: true, age_s: 0 }, camera: { ok: true, age_s: 0 } };
+  const common = { shots_total: 4, link: links, reason: "", resumable: null, mission_id: "m" };
+  const of = (state, more) => ({ status: "online", may: {}, marks: "", state: { ...common, state, ...more } });
+  const states = ["preflight", "capturing", "paused", "finishing", "complete", "incomplete", "aborted", "failed"];
+  const cases = [of("idle"), of("idle", { resumable: "m" }), ...states.map((state) => of(state))];
+  return cases.map((one) => {
+    const { primary, abort } = actions(one, "operator", false);
+    return [headline(one).word, urgency(one), primary.command, Boolean(abort)];
+  });
+})()
+"""
+
+
+def test_every_state_has_its_word_and_its_next_step(browser: Browser, server: PageServer) -> None:
+    browser.visit(f"{server.url}/login")
+    assert browser.value(_WHO_COMES_FIRST) == [
+        ["Ready", 3, "open-plan", False],
+        ["Interrupted", 1, "resume", True],
+        ["Checking", 2, "pause", True],
+        ["Taking photos", 2, "pause", True],
+        ["Paused", 1, "resume", True],
+        ["Finishing", 2, "pause", True],
+        ["Complete", 3, "open-result", False],
+        ["Incomplete", 1, "open-result", False],
+        ["Aborted", 0, "open-result", False],
+        ["Failed", 0, "open-result", False],
+    ]

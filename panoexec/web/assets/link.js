@@ -2,6 +2,7 @@
 import { check, take } from "./model.js";
 
 const PAUSES_MS = [300, 700, 1000, 1000, 1500, 2000];
+const REPEAT_MS = 10000;
 const FINAL = new Set(["done", "refused", "failed"]);
 
 export class Link {
@@ -30,7 +31,14 @@ export class Link {
       this.model.connected = true;
       if (this.name) this.send({ type: "name", name: this.name });
       this.send({ type: "follow", vehicle: this.following });
-      for (const command of this.open.values()) this.send(command);
+      for (const [id, { message, at }] of this.open) {
+        if (Date.now() - at <= REPEAT_MS) { this.send(message); continue; }
+        // what was wanted then may be wrong now: somebody has to look first
+        this.open.delete(id);
+        const error = { code: "lost", message: "the connection was lost before the answer; look at the state, then command again" };
+        const answer = { type: "answer", id, vehicle: message.vehicle, command: message.command, stage: "failed", error, data: null };
+        this.changed(take(this.model, answer), answer);
+      }
     });
     socket.addEventListener("message", (event) => {
       const message = JSON.parse(event.data);
@@ -66,7 +74,7 @@ export class Link {
   command(vehicle, command, fields = {}) {
     const id = [...crypto.getRandomValues(new Uint8Array(12))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
     const message = { type: "command", id, vehicle, command, fields };
-    this.open.set(id, message);
+    this.open.set(id, { message, at: Date.now() });
     this.send(message);
     return id;
   }
