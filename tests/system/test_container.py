@@ -37,7 +37,10 @@ def test_the_dockerfile_does_nothing_that_is_not_tried_without_docker() -> None:
     assert steps == ["/src/packaging/container/install /src && rm -rf /src"]
     tried = (CONTAINER / "try").read_text(encoding="utf-8")
     assert "/src/packaging/container/install /src" in tried
-    assert "/usr/bin/panoexec-container vehicle" in tried
+    for role in ("vehicle", "broker", "web"):
+        assert re.search(rf"^run {role} {role} ", tried, re.MULTILINE), role
+    assert 'ENTRYPOINT ["/usr/bin/panoexec-container"]' in (CONTAINER / "Dockerfile").read_text(encoding="utf-8")
+    assert "/usr/bin/panoexec-container" in tried
 
 
 @pytest.mark.skipif(not os.environ.get("PANOEXEC_CONTAINER"), reason="minutes, and root: PANOEXEC_CONTAINER=1")
