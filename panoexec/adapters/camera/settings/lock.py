@@ -94,6 +94,8 @@ def changes(lock: LockSection, widgets: Widgets, *, metered: PhotoExif | None = 
         out.append(_nearest("aperture", APERTURE, widgets, aperture))
     if iso is not None:
         out.append(_nearest("ISO", ISO, widgets, iso))
+    else:
+        _check_fixed("ISO", "iso", ISO, widgets)
     return out
 
 
@@ -145,6 +147,13 @@ def _widget(what: str, names: Sequence[str], widgets: Widgets) -> tuple[str, Map
                 raise LockError(f"{what} is {now} and cannot be set from here: set it on the camera ([camera.lock])")
             return name, widgets[name]
     raise LockError(f"this camera does not let {what} be set from here: set it on the camera ([camera.lock])")
+
+
+def _check_fixed(what: str, key: str, names: Sequence[str], widgets: Widgets) -> None:
+    """Refuse a setting that is left as it is and that the camera then chooses itself for each photo."""
+    for name in names:
+        if name in widgets and _number(str(widgets[name]["value"])) is None:
+            raise LockError(f"{what} is {widgets[name]['value']}, which is no fixed value: set {key} in [camera.lock]")
 
 
 def _can_be_set(names: Sequence[str], widgets: Widgets) -> bool:

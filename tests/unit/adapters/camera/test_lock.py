@@ -81,6 +81,7 @@ def test_first_takes_what_was_metered() -> None:
         (LockSection(white_balance="Tungsten"), NIKON, "white balance 'Tungsten': the camera offers Automatic, Dayl"),
         (LockSection(exposure="manual", shutter_s=0.004), NIKON, "shutter speed 0.004: the camera offers 0.0100s"),
         (LockSection(focus="manual"), CANON, "does not let focus be set"),
+        (LockSection(exposure="manual", shutter_s=0.002, aperture=8), CANON, "ISO is Auto, which is no fixed value"),
         (
             LockSection(exposure="manual", shutter_s=0.002),
             CANON | {"autoexposuremode": widget("P", read_only=True)},
