@@ -31,8 +31,6 @@ FORESEEN_FROM_S = 0.25
 """The speed at which a pose goes on is that of the readings of this time: noise of encoders has little part in it."""
 GUST_FROM_S = 0.1
 """The same for a gimbal in a gust, which turns about within half a period of its control loop (4 Hz)."""
-GUST_FRAC = 0.8
-"""The part of the tolerance in which a gust must leave the pose: what is foreseen is uncertain."""
 SPARSE_INTERVALS = 2.5
 """A stream may have gaps of so many of its own intervals: one message is lost now and then."""
 
@@ -75,7 +73,7 @@ class SettleLimits:
         max_rate_deg_s: largest angular speed.
         max_gap_s: longest gap between samples.
         foresee_s: for how long from now on the pose must stay inside tolerance, at its present speed; 0: not judged.
-        gust_s: the same, of the moment of the trigger alone, and within `GUST_FRAC` of the tolerance.
+        gust_s: the same, of the moment of the trigger alone.
         use_reported_rate: whether to use the angular speed that the device reports; else it is computed from the
             attitudes. Without a pan axis the reported one contains the airframe's vibration.
     """
@@ -133,7 +131,7 @@ class SettleTracker:
         """
         if not self.settled_at_s <= now_s + 1e-9 or self.is_stale(now_s):
             return False
-        if self._limits.gust_s and self._leaving(self._limits.gust_s, GUST_FRAC):
+        if self._limits.gust_s and self._leaving(self._limits.gust_s):
             self._leaving_s = self._newest
             return False
         return True
@@ -196,14 +194,14 @@ class SettleTracker:
         while self._track[0][0] < time_s - self._track_s - 1e-6:
             self._track.popleft()
 
-    def _leaving(self, ahead_s: float, frac: float = 1.0) -> str:
-        """Which axis would leave a part of its tolerance within a time, at its present speed; "" if none would."""
+    def _leaving(self, ahead_s: float) -> str:
+        """Which axis would leave its tolerance within a time, at its present speed; "" if none would."""
         times, *axes = np.array(self._track).T
         tolerance = self._target.tolerance
         limits = (tolerance.pitch_deg, tolerance.roll_deg, tolerance.yaw_deg)
         for name, values, limit in zip(("pitch", "roll", "yaw"), axes, limits, strict=True):
             coming_deg = float(values.mean()) + slope(times, values) * (times[-1] - times.mean() + ahead_s)
-            if abs(coming_deg) > frac * limit:
+            if abs(coming_deg) > limit:
                 return f"{name} will be off by {coming_deg:+.3g}° in {ahead_s:.2f} s (at most {limit:g}°)"
         return ""
 
