@@ -35,7 +35,7 @@ def test_every_number_and_choice_can_be_set_by_its_name() -> None:
     )
     for name, value in names.items():
         if isinstance(value, str):
-            other: float | str = {"camera.files": "http"}[name]
+            other: float | str = {"camera.files": "http", "camera.definition": "http"}[name]
         else:
             other = not value if isinstance(value, bool) else value + 1
         changed = settings.changed(SimConfig(), [f"{name}={str(other).lower()}"])

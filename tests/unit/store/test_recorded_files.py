@@ -162,14 +162,15 @@ def test_the_manifest_can_be_written_anew_from_plan_and_journal(mission: Mission
     assert written.pop("gimbal")["manager"] is None, "no event of that version names it"
     assert written.pop("name") == ""
     assert written.pop("parallax") is None
+    assert written.pop("time_contradictions") == []
     for shot in written["shots"]:
         assert shot.pop("bridge") is None
         for where in (shot, *shot["attempts"]):
             assert where.pop("sha256") is None
         for photo in (photo for attempt in shot["attempts"] for photo in attempt["photos"]):
             assert photo.pop("told") == photo["file"]
-            later = ("sha256", "size_bytes", "source", "raw", "exif", "differs")
-            assert [photo.pop(name) for name in later] == [None] * 6
+            later = ("sha256", "size_bytes", "source", "raw", "exif", "differs", "taken")
+            assert [photo.pop(name) for name in later] == [None] * 7
     written["certificate"].pop("geometry")
     assert written["certificate"].pop("content")["checked"] is False
     for shot in written["shots"]:

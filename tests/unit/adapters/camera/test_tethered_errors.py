@@ -42,7 +42,10 @@ def test_ports_that_libgphoto2_has(port: str) -> None:
         ({"trigger": "gphoto2", "port": "ptpip:a b"}, "is not a port"),
         ({"port": "usb:"}, 'need trigger = "gphoto2"'),
         ({"model": "ILCE-6000"}, 'need trigger = "gphoto2"'),
-        ({"lock": {"focus": "manual"}}, 'need trigger = "gphoto2"'),
+        (
+            {"trigger": "serial", "serial_port": "/dev/ttyUSB0", "lock": {"focus": "manual"}},
+            r"made over the camera's link: they need trigger = \"gphoto2\", or \"mavlink\"",
+        ),
         ({"trigger": "gphoto2", "lock": {"exposure": "manual"}}, "needs shutter_s"),
         ({"trigger": "gphoto2", "lock": {"exposure": "first", "iso": 100}}, 'are for exposure = "manual"'),
         ({"trigger": "gphoto2", "lock": {"shutter": 1}}, "Extra inputs"),
