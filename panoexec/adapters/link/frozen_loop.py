@@ -15,8 +15,8 @@ from typing import Final
 
 FROZEN_S: Final = 2.0
 """A loop that has not run for so long is frozen: heartbeats end within 3 s."""
-CHECK_S: Final = 0.25
-PULSE_S: Final = 0.5
+CHECK_S: Final = 0.5
+PULSE_S: Final = 0.9
 _LATE: Final = 2.0
 """A check that is late by more than its own interval counts nothing: then the computer is slow, and not the loop."""
 
