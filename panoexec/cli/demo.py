@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import getpass
 import importlib.util
 import os
 import shutil
@@ -36,6 +37,12 @@ VEHICLE: Final = "demo"
 _PAGE_PORT: Final = 8090
 _READY_S: Final = 60.0
 _STOP_S: Final = 10.0
+_BROKER: Final = """\
+listener {port} 127.0.0.1
+allow_anonymous true
+# started by root it would change its user, and with that forget to end with its parent
+user {user}
+"""
 _MOSQUITTO: Final = ("mosquitto", "/usr/sbin/mosquitto", "/usr/local/sbin/mosquitto")
 
 
@@ -149,13 +156,15 @@ async def _running(args: argparse.Namespace, broker: str, folder: Path) -> Async
     page_port = _page_port(args.page_port)
     config = folder / "config.toml"
     write_atomically(config, _configuration(args.camera, folder, mqtt_port, vehicle_port))
+    broker_file = folder / "mosquitto.conf"
+    write_atomically(broker_file, _BROKER.format(port=mqtt_port, user=getpass.getuser()))
     simulate = ["--port", str(vehicle_port), "--output", str(folder / "photos"), "--camera", args.camera]
     simulate += ["--speedup", str(args.speedup), *(["--wind", args.wind] if args.wind else [])]
     simulate += [word for fault in args.fault for word in ("--fault", fault)]
     programs = _Programs(folder)
     try:
         note("starting broker, simulated vehicle, daemon and page …")
-        await programs.start("broker", [broker, "-p", str(mqtt_port)])
+        await programs.start("broker", [broker, "-c", str(broker_file)])
         await programs.panoexec("vehicle", "simulate", *simulate)
         await programs.panoexec("daemon", "serve", "--config", str(config), "--speedup", str(args.speedup))
         await programs.panoexec("page", "web", "--config", str(config), "--listen", f"127.0.0.1:{page_port}")

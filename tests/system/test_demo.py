@@ -72,8 +72,7 @@ async def test_a_mission_is_flown_and_ctrl_c_ends_everything(tmp_path: Path) -> 
 
 async def test_nothing_outlives_one_that_is_killed(tmp_path: Path) -> None:
     demo = panoexec("demo", "--page-port", "0", cwd=tmp_path)
-    told(demo, "starting broker")
-    await eventually(lambda: len(children_of(demo.pid)) >= 4, SOON_S)
+    told(demo, "Ctrl-C ends everything")
     children = children_of(demo.pid)
     demo.kill()
     demo.communicate()
