@@ -152,16 +152,17 @@ def _plan(document: Mapping[str, Any]) -> dict[str, Any]:
     width, height, focal = (
         number(camera.get(f"{name}_mm")) for name in ("sensor_width", "sensor_height", "focal_length")
     )
+    halves = [number(size / (2 * focal), 7) if size and focal else None for size in (width, height)]
     tolerance = table(constraints.get("tolerance_deg"))
     masks = constraints.get("masks")
     notes = document.get("notes")
     return {
         "camera": None
-        if not width or not height or not focal
+        if None in halves
         else {
             "name": text(camera.get("name"), 80),
-            "half_width": round(width / (2 * focal), 7),
-            "half_height": round(height / (2 * focal), 7),
+            "half_width": halves[0],
+            "half_height": halves[1],
             "hfov_deg": number(camera.get("hfov_deg"), 2),
             "vfov_deg": number(camera.get("vfov_deg"), 2),
             "image_px": [whole(camera.get("image_width_px")), whole(camera.get("image_height_px"))],

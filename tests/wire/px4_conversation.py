@@ -196,19 +196,23 @@ def _fly(peer: UdpPeer) -> None:
             break
 
 
-async def record(binary: Path) -> list[dict[str, Any]]:
-    """Start the autopilot and hold both conversations."""
+def _sitl(binary: Path, parameters: dict[str, float]) -> SitlOptions:
     ground_port, payload_port = free_udp_ports(2)
-    ground = UdpPeer(ground_port)
-    options = SitlOptions(
+    return SitlOptions(
         binary=binary,
         ground_port=ground_port,
         payload_port=payload_port,
         speedup=1.0,
         home=(47.4, 8.5, 488.0, 20.0),
-        parameters={"MIS_TAKEOFF_ALT": 15.0},
+        parameters=parameters,
     )
-    payload = SimConfig(attach_url=f"udpin:127.0.0.1:{payload_port}", output=None)
+
+
+async def record(binary: Path) -> list[dict[str, Any]]:
+    """Start the autopilot and hold both conversations."""
+    options = _sitl(binary, {"MIS_TAKEOFF_ALT": 15.0})
+    ground = UdpPeer(options.ground_port)
+    payload = SimConfig(attach_url=f"udpin:127.0.0.1:{options.payload_port}", output=None)
     async with running_simulator(payload, note=lambda _: None), running_sitl(options):
         await asyncio.to_thread(ground.listen, 25.0)
         steps = await asyncio.to_thread(lambda: list(hold(ground)))
@@ -218,16 +222,8 @@ async def record(binary: Path) -> list[dict[str, Any]]:
 
 async def record_aux(binary: Path) -> list[dict[str, Any]]:
     """Start the autopilot with a gimbal on its outputs, and hold that conversation."""
-    ground_port, payload_port = free_udp_ports(2)
-    ground = UdpPeer(ground_port)
-    options = SitlOptions(
-        binary=binary,
-        ground_port=ground_port,
-        payload_port=payload_port,
-        speedup=1.0,
-        home=(47.4, 8.5, 488.0, 20.0),
-        parameters={"MNT_MODE_IN": 4, "MNT_MODE_OUT": 0},
-    )
+    options = _sitl(binary, {"MNT_MODE_IN": 4, "MNT_MODE_OUT": 0})
+    ground = UdpPeer(options.ground_port)
     async with running_sitl(options):
         await asyncio.to_thread(ground.listen, 25.0)
         return await asyncio.to_thread(lambda: list(hold_aux(ground)))

@@ -116,6 +116,12 @@ names = st.sampled_from(
 )
 
 
+def sent(mission: Mission) -> dict[str, Any]:
+    """The document as a browser gets it, whose JSON has no NaN."""
+    out: dict[str, Any] = json.loads(json.dumps(mission.document(), allow_nan=False))
+    return out
+
+
 @given(
     st.dictionaries(names, anything, max_size=12),
     st.sampled_from([*sorted(ev.EVENT_TYPES), "nonsense"]),
@@ -125,11 +131,19 @@ def test_no_event_can_break_it(fields: dict[str, Any], kind: str, seq: int) -> N
     mission = Mission(ID)
     mission.take_event({"seq": seq, "type": kind, "shot": 1, "attempt": 1} | fields)
     mission.take_event(fields)
-    json.dumps(mission.document(), allow_nan=False)
+    assert sent(mission)["id"] == ID
+
+
+def test_a_camera_without_a_field_of_view_is_none() -> None:
+    """1e308 mm is a number in JSON, and half of its angle would be Infinity, which no browser reads."""
+    camera = {"sensor_width_mm": 1e308, "sensor_height_mm": 13.0, "focal_length_mm": 1e-4}
+    mission = Mission(ID)
+    mission.take_plan({"camera": camera}, guess=False)
+    assert sent(mission)["camera"] is None
 
 
 @given(st.dictionaries(st.sampled_from(["camera", "constraints", "shots", "certificate", "notes"]), anything))
 def test_no_plan_can_break_it(plan: dict[str, Any]) -> None:
     mission = Mission(ID)
     mission.take_plan(plan, guess=False)
-    json.dumps(mission.document())
+    assert sent(mission)["id"] == ID
