@@ -1,4 +1,4 @@
-"""Logging with structlog: readable on a terminal, one JSON document per line for journald; always on stderr.
+"""Logging with structlog: readable on a terminal, sentences with fields in systemd's journal, else JSON; on stderr.
 
 Modules log with `structlog.get_logger(__name__)`; mission and shot ids are bound by `structlog.contextvars`.
 """
@@ -7,9 +7,12 @@ from __future__ import annotations
 
 import logging
 import sys
+from functools import partial
 from typing import Literal, TextIO, TypeAlias
 
 import structlog
+
+from panoexec.journald import Journal, is_journal, sentence
 
 LogLevel: TypeAlias = Literal["debug", "info", "warning", "error"]
 LogFormat: TypeAlias = Literal["auto", "human", "json"]
@@ -20,11 +23,13 @@ def configure_logs(level: LogLevel = "info", log_format: LogFormat = "auto", str
 
     Args:
         level: least severity that is shown.
-        log_format: `auto` is readable text on a terminal and JSON otherwise.
+        log_format: `auto` is readable text on a terminal, an entry of systemd's journal where stderr goes there, and
+            JSON otherwise.
         stream: stderr if not given; stdout belongs to results.
     """
     out = sys.stderr if stream is None else stream
     human = out.isatty() if log_format == "auto" else log_format == "human"
+    journal = Journal() if log_format == "auto" and not human and is_journal(out) else None
     shared: list[structlog.typing.Processor] = [
         structlog.contextvars.merge_contextvars,
         structlog.stdlib.add_log_level,
@@ -35,7 +40,10 @@ def configure_logs(level: LogLevel = "info", log_format: LogFormat = "auto", str
     last: list[structlog.typing.Processor] = (
         [structlog.dev.ConsoleRenderer(colors=out.isatty())]
         if human
-        else [structlog.processors.format_exc_info, structlog.processors.JSONRenderer(ensure_ascii=False)]
+        else [
+            structlog.processors.format_exc_info,
+            structlog.processors.JSONRenderer(ensure_ascii=False) if journal is None else partial(_send, journal),
+        ]
     )
     structlog.configure(
         processors=[
@@ -47,7 +55,7 @@ def configure_logs(level: LogLevel = "info", log_format: LogFormat = "auto", str
         logger_factory=structlog.stdlib.LoggerFactory(),
         cache_logger_on_first_use=False,
     )
-    handler = logging.StreamHandler(out)
+    handler = _TextHandler(out, journal)
     handler.setFormatter(
         structlog.stdlib.ProcessorFormatter(
             foreign_pre_chain=shared,
@@ -55,8 +63,39 @@ def configure_logs(level: LogLevel = "info", log_format: LogFormat = "auto", str
         )
     )
     root = logging.getLogger()
+    for old in root.handlers:
+        if isinstance(old, _TextHandler):
+            old.close()
     root.handlers[:] = [handler]
     root.setLevel(level.upper())
     # libraries that log too much at INFO
     for name in ("asyncio", "matplotlib", "PIL"):
         logging.getLogger(name).setLevel(logging.WARNING)
+
+
+class _TextHandler(logging.StreamHandler[TextIO]):
+    """Writes lines; an entry without text has gone to the journal."""
+
+    def __init__(self, stream: TextIO, journal: Journal | None) -> None:
+        super().__init__(stream)
+        self._journal = journal
+
+    def close(self) -> None:
+        super().close()
+        if self._journal is not None:
+            self._journal.close()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        try:
+            text = self.format(record)
+            if text:
+                self.stream.write(text + self.terminator)
+                self.flush()
+        except Exception:  # noqa: BLE001  (as in the class above: a log must not end what it tells of)
+            self.handleError(record)
+
+
+def _send(journal: Journal, logger: object, method: str, entry: structlog.typing.EventDict) -> str:
+    """Send an entry to the journal; what it does not take is a line on stderr."""
+    del logger, method
+    return "" if journal.send(entry) else sentence(entry)
