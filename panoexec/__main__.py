@@ -9,6 +9,10 @@ def main() -> None:
     """Run the command line and exit with its code."""
     from panoexec.cli.app import run  # noqa: PLC0415  (keeps `import panoexec` light)
 
+    if sys.platform == "win32":  # paho-mqtt's sockets are watched by readiness, which the default loop there cannot do
+        import asyncio  # noqa: PLC0415
+
+        asyncio.set_event_loop_policy(asyncio.WindowsSelectorEventLoopPolicy())
     sys.exit(run(sys.argv[1:]))
 
 

@@ -67,11 +67,13 @@ def _unwritable(path: Path, error: OSError) -> UsageError:
 
 
 def to_disk(path: Path) -> None:
-    """Wait until a file or a folder is on the disk.
+    """Wait until a file or a folder is on the disk; Windows, which knows it of open files only, is not asked.
 
     Raises:
         OSError: it cannot be opened, or the disk failed.
     """
+    if os.name == "nt":
+        return
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -47,7 +47,7 @@ COMMANDS: dict[str, Command] = {
     "stitch": Command("stitch", "stitch the photos of a mission with Hugin and measure completeness", extra="report"),
     "experiment": Command("experiment", "reproduce the paper's simulation: render, stitch, compare", extra="sim"),
     "simulate": Command("simulate", "run only the simulated vehicle, for a ground station or `serve`", extra="sim"),
-    "serve": Command("serve", "run the daemon that executes missions on MQTT requests"),
+    "serve": Command("serve", "run the daemon that executes missions on MQTT requests", extra="vehicle"),
     "start": Command("operate", "start a mission on a vehicle, over MQTT"),
     "pause": Command("operate", "hold the mission after the current photo"),
     "resume": Command("operate", "continue the mission"),
@@ -60,7 +60,7 @@ COMMANDS: dict[str, Command] = {
     "watch": Command("watch", "show live progress of vehicles over MQTT"),
     "web": Command("web", "serve the operator's page, a client of the MQTT interface", extra="web"),
     "demo": Command("demo", "show it all on this computer: broker, simulated vehicle, daemon, page", extra="sim"),
-    "doctor": Command("doctor", "check a vehicle before a mission and name the parameters to set"),
+    "doctor": Command("doctor", "check a vehicle before a mission and name the parameters to set", extra="vehicle"),
     "check-config": Command("check_config", "report all problems in a configuration file"),
 }
 

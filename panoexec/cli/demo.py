@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run until Ctrl-C, or until one of the programs ends."""
-    for package, extra in (("aiohttp", "web"), ("pymavlink", "sim"), ("PIL", "sim")):
+    for package, extra in (("aiohttp", "web"), ("mavsdk", "sim"), ("pymavlink", "sim"), ("PIL", "sim")):
         if importlib.util.find_spec(package) is None:
             raise DependencyError(f"`demo` needs the Python package {package}: {to_install(extra)}")
     broker = next(filter(None, map(shutil.which, _MOSQUITTO)), None)

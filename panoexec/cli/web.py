@@ -19,6 +19,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -137,7 +138,8 @@ async def _serve(make: Callable[[], Server], notifier: SystemdNotifier) -> None:
     task = asyncio.current_task()
     assert task is not None
     for one in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(one, task.cancel)
+        with suppress(NotImplementedError):  # Windows: Ctrl-C ends it all the same
+            loop.add_signal_handler(one, task.cancel)
     server = make()
     telling = asyncio.create_task(_tell(server, notifier), name="service manager")
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import resource
+import os
 import sys
 from collections.abc import Coroutine
 from dataclasses import dataclass
@@ -168,6 +168,10 @@ class Server:
 
 def _allow_open_files() -> None:
     """Raise the soft limit of open files, so that many connections do not keep others out."""
+    if os.name == "nt":
+        return
+    import resource  # noqa: PLC0415  (not on Windows)
+
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = _OPEN_FILES if hard == resource.RLIM_INFINITY else min(_OPEN_FILES, hard)
     if soft < wanted:

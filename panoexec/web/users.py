@@ -108,7 +108,7 @@ def write_users(path: Path, users: dict[str, StoredUser]) -> None:
 
 
 def _give(path: Path, owner: int, group: int) -> None:
-    if os.geteuid() == 0:
+    if os.name != "nt" and os.geteuid() == 0:
         os.chown(path, owner, group)
 
 

@@ -23,6 +23,10 @@ from typing import Final
 from panoexec.errors import PanoexecError
 
 _CHUNK: Final = 256 * 1024
+# Windows has neither of the last two
+_OPEN_FLAGS: Final = (
+    os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+)
 _FOUR_GB: Final = 0xFFFFFFFF
 _MOST_ENTRIES: Final = 0xFFFF
 _UTF8_AND_CRC_AFTER: Final = 0x0808
@@ -216,7 +220,7 @@ def _cut(data: bytes, start: int, stop: int) -> Iterator[bytes]:
 
 def _opened(entry: _Entry) -> int:
     try:
-        file = os.open(entry.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        file = os.open(entry.path, _OPEN_FLAGS)
     except OSError as error:
         raise FolderChangedError(f"{entry.path.name}: {error.strerror}") from error
     status = os.fstat(file)

@@ -13,7 +13,7 @@ from tests.repository import ROOT
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 EXTRAS = PROJECT["project"]["optional-dependencies"]
-SHIPPED = [*PROJECT["project"]["dependencies"], *EXTRAS["service"], *EXTRAS["gphoto2"]]
+SHIPPED = [*PROJECT["project"]["dependencies"], *EXTRAS["vehicle"], *EXTRAS["service"], *EXTRAS["gphoto2"]]
 BACKEND = PROJECT["build-system"]["requires"]
 HASH = re.compile(r"--hash=sha256:[0-9a-f]{64}")
 
