@@ -49,11 +49,18 @@ class FlightModes:
 
     def set_from_command(self, main: float, sub: float) -> bool:
         """Set the mode by param2 and param3 of MAV_CMD_DO_SET_MODE; False if there is no such mode."""
-        number = int(main) << 16 | int(sub) << 24 if self._is_px4 else int(main)
+        number = self._number(main, sub)
         if number not in self._numbers.values():
             return False
         self.custom_mode = number
         return True
+
+    def is_auto_command(self, main: float, sub: float) -> bool:
+        """Whether param2 and param3 of MAV_CMD_DO_SET_MODE mean the mode in which missions are flown."""
+        return self._number(main, sub) == self._numbers["MISSION" if self._is_px4 else "AUTO"]
+
+    def _number(self, main: float, sub: float) -> int:
+        return int(main) << 16 | int(sub) << 24 if self._is_px4 else int(main)
 
     def base_mode(self, *, armed: bool) -> int:
         """Value of HEARTBEAT.base_mode."""
@@ -79,6 +86,11 @@ class FlightModes:
     def is_guided(self) -> bool:
         """Whether a program controls the flight (GUIDED, OFFBOARD)."""
         return self.custom_mode == self._numbers["LOITER" if self._is_px4 else "GUIDED"]
+
+    @property
+    def is_auto(self) -> bool:
+        """Whether the autopilot flies its mission (AUTO, Mission)."""
+        return self.custom_mode == self._numbers["MISSION" if self._is_px4 else "AUTO"]
 
     @property
     def is_rtl(self) -> bool:

@@ -12,10 +12,12 @@ from collections.abc import Callable
 
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import Faults
+from panoexec.sim.mavlink.auto_flight import AutoFlight
 from panoexec.sim.mavlink.component import Command, Component, command_of
 from panoexec.sim.mavlink.dialect import mavlink
 from panoexec.sim.mavlink.held_up import HeldUp
 from panoexec.sim.mavlink.manager import GimbalManager
+from panoexec.sim.mavlink.mission_items import Item
 from panoexec.sim.mavlink.modes import FlightModes
 from panoexec.sim.mavlink.parameters import Parameters
 from panoexec.sim.mavlink.telemetry import Telemetry
@@ -38,6 +40,7 @@ _PX4_STREAMS = {
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 1.0,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
     mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_STATUS: 5.0,
+    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: 1.0,
 }
 _ACCEPTED = int(mavlink.MAV_RESULT_ACCEPTED)
 _DENIED = int(mavlink.MAV_RESULT_DENIED)
@@ -119,11 +122,25 @@ class Vehicle:
             component.builders.update(self._gimbal_builders())
             if trigger is not None:
                 component.builders.update(trigger.builders())
+        self.auto = AutoFlight(
+            config,
+            timeline=timeline,
+            airframe=airframe,
+            modes=self.modes,
+            send=self._ground.send,
+            say=self.say,
+            do=self._do,
+            home=self.return_to_launch,
+            land=airframe.land,
+        )
+        for component in (self._ground, self._payload):
+            component.builders[mavlink.MAVLINK_MSG_ID_MISSION_CURRENT] = self.auto.current
         self._parameters = Parameters(config)
         self._setters: dict[str, Callable[[Message], None]] = {
             "GIMBAL_MANAGER_SET_PITCHYAW": self.manager.set_pitchyaw,
             "GIMBAL_MANAGER_SET_ATTITUDE": self.manager.set_attitude,
             "RC_CHANNELS_OVERRIDE": self._telemetry.override_channels,
+            "MISSION_SET_CURRENT": self.auto.take_current,
         }
         self._target_repeater = Repeater(timeline, self.manager.send_target)
         if config.mount == "driver":
@@ -279,12 +296,15 @@ class Vehicle:
             if message.tc1 == 0:
                 source.send(mavlink.MAVLink_timesync_message(self.boot_ms() * 1_000_000, message.ts1))
         else:
-            for answer in self._parameters.answers(message):
+            answers = self.auto.store.answers(message)
+            for answer in self._parameters.answers(message) if answers is None else answers:
                 source.send(answer)
 
     def _command(self, source: Component, command: Command) -> int | None:
         """Execute a command; return the MAV_RESULT, or None for no acknowledgement."""
         unknown = mavlink.MAV_RESULT_FAILED if self._config.autopilot == "ardupilot" else mavlink.MAV_RESULT_DENIED
+        if command.id == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL and self._sends_by_itself(command.params[0]):
+            return int(mavlink.MAV_RESULT_FAILED)
         common = source.common_command(command, unknown_message=unknown)
         if common is not None:
             return common
@@ -296,6 +316,10 @@ class Vehicle:
             return self._trigger.command(command)
         return self._flight_command(command)
 
+    def _sends_by_itself(self, message_id: float) -> bool:
+        """Whether a message is one that PX4 sends at changes, and refuses an interval for."""
+        return self._config.autopilot == "px4" and message_id == mavlink.MAVLINK_MSG_ID_MISSION_CURRENT
+
     def _flight_command(self, command: Command) -> int:
         actions: dict[int, Callable[[Command], int]] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
@@ -305,6 +329,8 @@ class Vehicle:
             mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._capabilities,
             mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._reboot_command,
             mavlink.MAV_CMD_IMAGE_START_CAPTURE: self._no_camera,
+            mavlink.MAV_CMD_DO_PAUSE_CONTINUE: self.auto.pause,
+            mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: self.auto.set_current,
         }
         if self._config.autopilot == "ardupilot":
             actions[mavlink.MAV_CMD_CONDITION_YAW] = self._condition_yaw
@@ -331,7 +357,15 @@ class Vehicle:
         self.airframe.land()
         return _ACCEPTED
 
+    def _do(self, item: Item) -> None:
+        """Run an item of the mission that is no place to fly to, as the command that it is."""
+        if self._trigger is not None and item.command in self._trigger.commands:
+            params = (*item.params, float(item.x), float(item.y), item.z)
+            self._trigger.command(Command(id=item.command, params=params, confirmation=0, sender=(0, 0)))
+
     def _set_mode(self, command: Command) -> int:
+        if self.modes.is_auto_command(command.params[1], command.params[2]) and not self.auto.may_begin:
+            return int(mavlink.MAV_RESULT_FAILED)
         if not self.modes.set_from_command(command.params[1], command.params[2]):
             return _DENIED
         if self.modes.is_rtl:

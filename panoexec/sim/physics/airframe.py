@@ -10,13 +10,15 @@ from panoexec.sim.config import AirframeConfig, AxisConfig
 from panoexec.sim.physics.gimbal import Axis
 from panoexec.sim.physics.world import BoundedDrift, seeded
 
-_METRES_PER_DEG = 111_320.0
+METRES_PER_DEG = 111_320.0
 _LEAN_REFERENCE_M_S = 8.0
 _LEAN_MAX_DEG = 35.0
 _LEAN_LAG_S = 0.6
 _CLIMB_M_S = 2.5
 _DESCENT_M_S = 1.0
 _FALL_M_S = 12.0
+_CRUISE_M_S = 5.0
+_BRAKE_M_S2 = 1.0
 _IDLE_DRAIN = 0.05
 _TURN_DAMPING = 0.9
 _TURN_FEEDFORWARD = 0.5
@@ -87,6 +89,8 @@ class Airframe:
         self._height_goal_m = self._height_m
         self._lean_deg = self._steady_lean()
         self._climb_m_s = 0.0
+        self._away_m = self._goal_m = (0.0, 0.0)
+        self._speed_m_s = 0.0
         self._heading_goal_deg = config.heading_deg
         self._heading = self._heading_axis()
         self._turn_deg_s = math.inf
@@ -153,6 +157,52 @@ class Airframe:
         """Land at the current position; disarms on the ground."""
         self._height_goal_m = 0.0
 
+    @property
+    def away_m(self) -> tuple[float, float]:
+        """North and east of home that it is flown to, metres, without the errors that wind and GPS cause."""
+        return self._away_m
+
+    @property
+    def height_m(self) -> float:
+        """Height above home that it is flown at, metres."""
+        return self._height_m
+
+    @property
+    def to_go_m(self) -> float:
+        """Distance to where it flies, metres."""
+        north, east = (goal - now for goal, now in zip(self._goal_m, self._away_m, strict=True))
+        return math.hypot(north, east, self._height_goal_m - self._height_m)
+
+    def fly_to(self, north_m: float, east_m: float, height_m: float | None = None) -> None:
+        """Fly to a point relative to home, and hover there; the height stays as it is if none is given."""
+        if self.is_flying:
+            self._goal_m = (north_m, east_m)
+            if height_m is not None:
+                self._height_goal_m = height_m
+
+    def brake(self) -> None:
+        """Stop where it can, as fast as it brakes."""
+        north, east = self._direction()
+        way = self._speed_m_s**2 / (2 * _BRAKE_M_S2)
+        self._goal_m = (self._away_m[0] + way * north, self._away_m[1] + way * east)
+        self._height_goal_m = self._height_m
+
+    def _direction(self) -> tuple[float, float]:
+        north, east = (goal - now for goal, now in zip(self._goal_m, self._away_m, strict=True))
+        way = math.hypot(north, east)
+        return (north / way, east / way) if way > 0 else (0.0, 0.0)
+
+    def _fly(self, dt: float) -> None:
+        """Towards the goal, with limited speed and acceleration."""
+        north, east = self._direction()
+        way = math.hypot(*(goal - now for goal, now in zip(self._goal_m, self._away_m, strict=True)))
+        self._speed_m_s = min(self._speed_m_s + _BRAKE_M_S2 * dt, _CRUISE_M_S, math.sqrt(2 * _BRAKE_M_S2 * way))
+        step = self._speed_m_s * dt
+        if step >= way or way < 1e-3:
+            self._away_m, self._speed_m_s = self._goal_m, 0.0
+        else:
+            self._away_m = (self._away_m[0] + step * north, self._away_m[1] + step * east)
+
     def stop_motors(self) -> None:
         """Disarm wherever it is; in the air it falls."""
         self.armed = False
@@ -180,6 +230,8 @@ class Airframe:
         self._state = None
         if self._heading.angle_deg != self._heading_goal_deg or self._heading.rate_deg_s != 0.0:
             self._turn(dt)
+        if self._away_m != self._goal_m:
+            self._fly(dt)
         drain = 1.0 if self.is_flying else _IDLE_DRAIN if self.armed else 0.0
         self.battery_frac = max(0.0, self.battery_frac - drain * dt / (60 * self.config.battery_minutes))
         self._lean_deg += (self._steady_lean() - self._lean_deg) * min(1.0, dt / _LEAN_LAG_S)
@@ -228,8 +280,8 @@ class Airframe:
             roll_rate_deg_s=rough * self._sway_roll.rate_at(t),
             pitch_rate_deg_s=rough * self._sway_pitch.rate_at(t),
             yaw_rate_deg_s=self._heading.rate_deg_s + flying * c.heading_sway_deg * self._sway_yaw.rate_at(t),
-            north_m=north - gps_north,
-            east_m=east - gps_east,
+            north_m=self._away_m[0] + north - gps_north,
+            east_m=self._away_m[1] + east - gps_east,
             up_m=self._height_m + 0.5 * up - 1.5 * gps_up,
         )
 
@@ -240,9 +292,12 @@ class Airframe:
         north, east, up = (hold * drift.at(t) for drift in self._hold)
         up = self._height_m + 0.5 * up
         velocity = [hold * drift.rate_at(t) for drift in self._hold]
+        if self._speed_m_s:
+            velocity = [v + self._speed_m_s * part for v, part in zip(velocity, (*self._direction(), 0.0), strict=True)]
+        north, east = north + self._away_m[0], east + self._away_m[1]
         return Position(
-            latitude_deg=c.latitude_deg + north / _METRES_PER_DEG,
-            longitude_deg=c.longitude_deg + east / (_METRES_PER_DEG * math.cos(math.radians(c.latitude_deg))),
+            latitude_deg=c.latitude_deg + north / METRES_PER_DEG,
+            longitude_deg=c.longitude_deg + east / (METRES_PER_DEG * math.cos(math.radians(c.latitude_deg))),
             altitude_m=c.home_altitude_m + up,
             relative_altitude_m=up,
             velocity_m_s=(velocity[0], velocity[1], -self._climb_m_s),
