@@ -91,6 +91,8 @@ class CaptureEvidence:
         duplicates: how many further reports of the same photo were merged in.
         exposed_s: start of the exposure on the mission's clock if it can be told, else NaN.
         exposed_error_s: how far `exposed_s` may be wrong; NaN where it cannot be told.
+        opened_s: between which times the camera stamped the opening of its shutter, where requests that it answered
+            prove that (`CameraClock.bounds`); else NaN.
         contradiction: why this photo may be another one, "" if nothing speaks for that.
         reported_s: when the first report of the photo arrived: it was not exposed later than that; NaN without one.
         counted_s: when the camera's count of its photos was first seen to include it; NaN if it was not.
@@ -108,6 +110,7 @@ class CaptureEvidence:
     duplicates: int = 0
     exposed_s: float = float("nan")
     exposed_error_s: float = float("nan")
+    opened_s: tuple[float, float] = (float("nan"), float("nan"))
     contradiction: str = ""
     reported_s: float = float("nan")
     counted_s: float = float("nan")

@@ -5,28 +5,23 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Awaitable, Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TypeVar
 
 from panoexec.angles import yaw_pitch_roll
 from panoexec.clock import Clock
-from panoexec.devices import Camera, CaptureEvidence, EvidenceLevel, Gimbal, PendingCapture
+from panoexec.devices import Camera, EvidenceLevel, Gimbal, PendingCapture
 from panoexec.errors import DeviceError
 from panoexec.mission.attempt_result import Exposure, NotSettled, Offset, Settled
-from panoexec.mission.dated_exposure import ShutterLag, has_window, is_dated, window
+from panoexec.mission.dated_exposure import ShutterLag, is_dated
+from panoexec.mission.exposure_judge import ExposureJudge
 from panoexec.mission.pointing.echo import EchoWatch
 from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.pointing.poses import PoseReader, read_pose, to_north
 from panoexec.mission.pointing.tolerance_gate import (
     SettleLimits,
     SettleTracker,
-    Target,
-    WindowVerdict,
-    allowed_gap_s,
-    judge_window,
 )
-from panoexec.mission.pointing.unseen_motion import HEADING_LAG_S
 from panoexec.mission.preflight import gimbal_limits
 from panoexec.mission.protocols import MayFireLate, PacesPhotos, PhotoRecall, ReportsUndated
 from panoexec.mission.settings import MissionSettings
@@ -47,8 +42,6 @@ INTERVAL_SLACK_S = 0.1
 """An interval of the camera that is longer than configured by less is not worth a warning."""
 DEFERRED_SLACK_S = 0.1
 """How long after a deferred trigger was carried out its report may arrive."""
-LATE_SAMPLES_S = 0.5
-"""How long to wait for delayed attitude samples of an exposure."""
 NOSE_HELD_S = 0.1
 """How long a nose must have been inside tolerance and slow: as long as its speed is measured over."""
 FORESEE_GUST_S = 0.06
@@ -80,6 +73,7 @@ class Shooter:
     poses: PoseReader = field(init=False)
     lag: ShutterLag = field(init=False)
     slews: SlewWatch = field(init=False)
+    judge: ExposureJudge = field(init=False)
     _ready_s: float = field(default=-math.inf, init=False)
     _pointed: tuple[float, float] | None = field(default=None, init=False)
     _warned_interval_s: float = field(default=0.0, init=False)
@@ -90,6 +84,16 @@ class Shooter:
         self.lag = ShutterLag(self.settings.latency_s)
         self.poses = PoseReader(feed=self.gimbal.feed, reference_yaw_north_deg=self.reference_yaw_north_deg)
         self.slews = SlewWatch(poses=self.poses, echo=EchoWatch(self.gimbal.known.echo))
+        self.judge = ExposureJudge(
+            poses=self.poses,
+            feed=self.gimbal.feed,
+            clock=self.clock,
+            settings=self.settings,
+            slews=self.slews,
+            lag=self.lag,
+            open_loop=self.open_loop,
+            vehicle_pans=lambda: self._vehicle_pans,
+        )
 
     async def approach(
         self,
@@ -126,7 +130,7 @@ class Shooter:
             await self.clock.sleep(self._interval_left_s())
             return Settled(commanded_s=commanded_s, settled_s=self.clock.monotonic())
         limits = self._settle_limits()
-        target = self._target(shot)
+        target = self.judge.target(shot)
         tracker = SettleTracker(target=target, limits=limits)
         bound_s = expected_s + self.settings.settle_s + patience_s
         wait = SettleWait(
@@ -159,7 +163,7 @@ class Shooter:
         return SettleLimits(
             settle_s=min(settings.settle_s, NOSE_HELD_S) if nose else settings.settle_s,
             max_rate_deg_s=settings.max_rate_deg_s,
-            max_gap_s=settings.max_gap_s if math.isnan(self.poses.interval_s) else self._gap_s(),
+            max_gap_s=settings.max_gap_s if math.isnan(self.poses.interval_s) else self.judge.gap_s,
             foresee_s=self.lag.bound_s + settings.exposure_s + FORESEE_MARGIN_S if nose else 0.0,
             gust_s=0.0 if nose else FORESEE_GUST_S,
             use_reported_rate=not nose,
@@ -180,10 +184,6 @@ class Shooter:
         if self.heading_controller is None or not self._vehicle_pans:
             return None
         return commanded_s + self.heading_controller.last_turn_s
-
-    def _gap_s(self) -> float:
-        """The longest gap between samples that an exposure may have."""
-        return allowed_gap_s(self.poses.interval_s, max_gap_s=self.settings.max_gap_s)
 
     async def expose(self, shot: Shot, settled: Settled, *, interrupt: asyncio.Event) -> Exposure | NotSettled:
         """Trigger and judge; returns when the exposure has ended. Cancel it only for an immediate stop.
@@ -229,9 +229,13 @@ class Shooter:
         if first.level >= EvidenceLevel.CAPTURE_MESSAGE and is_dated(first):
             # until a deferred trigger was carried out, nothing was exposed
             start_s = max(start_s, fired_s[0] - DEFERRED_SLACK_S)
+        if len(captures) == 1:
+            verdict, held = await self.judge.judge_opening(shot, captures[0], start_s, end_s)
+        else:
+            verdict, held = await self.judge.judge(shot, start_s, end_s), set()
         return Exposure(
             captures=tuple(captures),
-            verdict=await self._judged(shot, start_s, end_s),
+            verdict=verdict,
             trigger_utc_s=tuple(stamps),
             trigger_delay_s=captures[0].commanded_s - settled.settled_s,
             start_s=start_s,
@@ -239,6 +243,7 @@ class Shooter:
             failure=failure,
             images_before=images_before,
             broken_off=broken_off,
+            held=held,
         )
 
     async def _exposure_end(self, capture: PendingCapture, fired_s: float) -> float:
@@ -267,57 +272,6 @@ class Shooter:
             latest_s = min(latest_s, max(fired_s, found.exposed_s) + self.settings.exposure_bound_s)
         await self.clock.sleep(latest_s - self.clock.monotonic())
         return latest_s
-
-    async def judge_date(
-        self, shot: Shot, found: CaptureEvidence, commanded_s: float, exposure: Exposure
-    ) -> WindowVerdict | None:
-        """The verdict on the time in which a photo was exposed; None if that is unknown, or was judged already.
-
-        Args:
-            shot: where the camera was to look.
-            found: what is known of the photo.
-            commanded_s: when its trigger went out.
-            exposure: of the attempt.
-        """
-        if self.open_loop or not has_window(found):
-            return None
-        start_s, end_s = window(found, commanded_s, self.settings)
-        judged = exposure.start_s <= start_s and end_s <= exposure.end_s
-        if judged or any(since_s <= start_s and end_s <= until_s for since_s, until_s in exposure.held):
-            return None
-        verdict = await self._judged(shot, start_s, end_s)
-        if verdict.ok:
-            exposure.held.add((start_s, end_s))
-        return verdict
-
-    def _target(self, shot: Shot) -> Target:
-        return Target(pitch_deg=shot.pitch_deg, yaw_deg=shot.yaw_deg, tolerance=self.settings.tolerance)
-
-    async def _judged(self, shot: Shot, start_s: float, end_s: float) -> WindowVerdict:
-        """The verdict on an exposure; waits briefly for samples that are delayed on a busy computer."""
-        end_s += self.slews.report_age_s
-        verdict = self._judge(shot, start_s, end_s)
-        if verdict.code != "no_samples":
-            return verdict
-        with suppress(TimeoutError):
-            await within(
-                self.clock, LATE_SAMPLES_S, self.gimbal.feed.newer_than(end_s), f"samples of shot {shot.index}"
-            )
-        return self._judge(shot, start_s, end_s)
-
-    def _judge(self, shot: Shot, start_s: float, end_s: float) -> WindowVerdict:
-        if self.open_loop:
-            return WindowVerdict(ok=True, reason="", code="", samples=0, measured=None, errors=None)
-        readings = self.poses.since(start_s - 2 * self.settings.max_gap_s)
-        gap = self._gap_s()
-        return judge_window(
-            readings,
-            target=self._target(shot),
-            start_s=start_s,
-            end_s=end_s,
-            max_gap_s=gap,
-            heading_lag_s=HEADING_LAG_S if self._vehicle_pans else 0.0,
-        )
 
     @property
     def _vehicle_pans(self) -> bool:

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
-from panoexec.devices import CaptureEvidence, EvidenceLevel
+from panoexec.devices import CaptureEvidence, EvidenceLevel, PendingCapture
 from panoexec.mission.settings import MissionSettings
 
 MAX_DATE_ERROR_S: Final = 0.25
@@ -22,6 +22,12 @@ _REMEMBERED: Final = 16
 _IRREGULAR_S: Final = 0.2
 """Lags that differ by more than this, and by more than their dates may be wrong, are irregular."""
 _WARN_ABOVE_S: Final = 0.1
+_REGULAR_S: Final = 0.03
+"""Openings of the shutter that differ by no more than this, beyond what their bounds leave open, are regular."""
+_PHOTOS_BEFORE: Final = 3
+"""How many photos before must have been as regular."""
+ATTITUDE_DELAY_S: Final = 0.02
+"""How much later than it was measured an attitude may arrive from the gimbal."""
 
 
 class ShutterLag:
@@ -34,6 +40,7 @@ class ShutterLag:
     def __init__(self, configured_s: float) -> None:
         self._configured_s = configured_s
         self._measured_s: deque[float] = deque(maxlen=_REMEMBERED)
+        self._openings_s: dict[float, tuple[float, float]] = {}  # after the trigger, by when that was sent
         self._warned = False
         self.until_report = False
         """Whether the pose must be held until the autopilot reports that it triggered."""
@@ -51,8 +58,36 @@ class ShutterLag:
         reserve_s = spread_s / 2 if spread_s > _IRREGULAR_S else 0.0
         return max(self._configured_s, max(self._measured_s) + reserve_s)
 
+    @property
+    def knows_openings(self) -> bool:
+        """Whether enough photos were dated closely for `opening` to find a regularity."""
+        return len(self._openings_s) >= _PHOTOS_BEFORE
+
+    def opening(self, found: CaptureEvidence, capture: PendingCapture, exposure_s: float) -> tuple[float, float] | None:
+        """The interval in which a photo was exposed, if its stamp can be nothing but that of its shutter; else None.
+
+        A camera may stamp a photo when it receives the command, or when it reports. So the stamp must lie after the
+        acknowledgement and, with the exposure, before the report, and must be as late as those of the photos before.
+
+        Args:
+            found: what is known of the photo.
+            capture: its trigger.
+            exposure_s: longest exposure.
+        """
+        earliest_s, latest_s = found.opened_s
+        closed_s = latest_s + exposure_s
+        if found.contradiction or not capture.acknowledged_s < earliest_s <= closed_s < found.reported_s:
+            return None
+        self._note_opening(found, capture.commanded_s)
+        lags_s = self._openings_s.values()
+        apart_s = max(earliest for earliest, _ in lags_s) - min(latest for _, latest in lags_s)
+        if len(lags_s) <= _PHOTOS_BEFORE or apart_s > _REGULAR_S:
+            return None
+        return earliest_s, closed_s + ATTITUDE_DELAY_S
+
     def note(self, found: CaptureEvidence, commanded_s: float) -> str:
         """Add the date of a photo; returns a warning for the operator, "" if there is none."""
+        self._note_opening(found, commanded_s)
         if is_undatable(found):
             self._note_report(found.received_s - commanded_s)
             return ""
@@ -63,6 +98,13 @@ class ShutterLag:
         if found.level < EvidenceLevel.FEEDBACK_PIN:
             return self._note_trigger_report(found.exposed_s - commanded_s, found.exposed_error_s)
         return self._note_date(found.exposed_s - commanded_s, found.exposed_error_s)
+
+    def _note_opening(self, found: CaptureEvidence, commanded_s: float) -> None:
+        earliest_s, latest_s = found.opened_s
+        if math.isfinite(earliest_s):
+            self._openings_s[commanded_s] = (earliest_s - commanded_s, latest_s - commanded_s)
+            if len(self._openings_s) > _REMEMBERED:
+                del self._openings_s[next(iter(self._openings_s))]
 
     def _note_date(self, lag_s: float, error_s: float) -> str:
         """The camera tells when its shutter opened."""

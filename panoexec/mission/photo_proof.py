@@ -205,7 +205,7 @@ class PhotoProof:
             if dated_exposure.is_before(one, capture.commanded_s):
                 ago_s = capture.commanded_s - one.exposed_s
                 return "evidence", f"the camera dates the photo {ago_s:.2f} s before its trigger: it is another one"
-            verdict = await self._shooter.judge_date(shot, one, capture.commanded_s, exposure)
+            verdict = await self._shooter.judge.judge_date(shot, one, capture.commanded_s, exposure)
             if verdict is not None and not verdict.ok:
                 return "late_exposure", f"{dated_exposure.when(one, capture.commanded_s)}: {verdict.reason}"
         why = dated_exposure.contradictions(found)

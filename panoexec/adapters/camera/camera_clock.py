@@ -2,7 +2,8 @@
 
 A camera stamps a photo with its own time since boot (`time_boot_ms` of CAMERA_IMAGE_CAPTURED, 263). Its clock may run
 slow or fast by per cents (PX4's SITL clock lagged 2 %) and may be stepped. Messages that are stamped when they are sent
-(262, 259, 261) relate the two clocks: each arrives a short transport delay after its stamp.
+(262, 259, 261) relate the two clocks: each arrives a short transport delay after its stamp. One that answers a request
+was stamped after the request was sent, so its delay is not longer than the round trip.
 """
 
 from __future__ import annotations
@@ -35,6 +36,11 @@ _RESOLUTIONS_MS: Final = (1000, 100)
 """Stamps that have all been multiples of one of these are coarse."""
 _LATEST_REPORT_S: Final = 10.0
 """How long a report may be under way."""
+_TRIPS: Final = 9
+ENOUGH_TRIPS: Final = 3
+"""Round trips before they are believed."""
+_TIGHT_S: Final = 0.06
+"""Bounds that are wider than this tell no more than a date."""
 
 
 class CameraClock:
@@ -52,6 +58,7 @@ class CameraClock:
         self._pairs: deque[tuple[float, float]] = deque(pairs, maxlen=_KEPT)
         self._suspect: tuple[float, float] | None = None
         self._rate, self._rate_error = rate, rate_error
+        self._trips_s: deque[float] = deque(maxlen=_TRIPS)
         self._before: CameraClock | None = None  # the relation before the last step
         self._found_s = math.inf
         self.in_doubt_since_s = math.inf
@@ -85,15 +92,23 @@ class CameraClock:
             return 0.0
         return max(0.0, self._suspect[1] - self._predict(self._suspect[0])[0])
 
-    def note(self, stamp_s: float, received_s: float) -> None:
+    @property
+    def trips(self) -> int:
+        """How many round trips are known."""
+        return len(self._trips_s)
+
+    def note(self, stamp_s: float, received_s: float, *, asked_s: float = math.nan) -> None:
         """Take a message that was stamped when it was sent.
 
         Args:
             stamp_s: the camera's time since boot, seconds.
             received_s: when it arrived, on the mission's clock.
+            asked_s: when it was requested, if it is the answer to a request.
         """
         if not (math.isfinite(stamp_s) and math.isfinite(received_s)):
             return
+        if asked_s <= received_s:
+            self._trips_s.append(received_s - asked_s)
         self._learn_resolution(stamp_s)
         if self._pairs:
             predicted_s, error_s = self._predict(stamp_s)
@@ -136,6 +151,32 @@ class CameraClock:
         if may_be_old == may_be_new:
             return math.nan, math.nan
         return (predicted_s, error_s) if may_be_new else (old_s, old_error_s)
+
+    def bounds(self, stamp_s: float, received_s: float) -> tuple[float, float]:
+        """Between which times a stamp was made, as round trips prove it.
+
+        The fastest of the messages that relate the clocks was under way for no longer than the second longest of the
+        last round trips (of few, the longest): a delay is a part of its own round trip, the fastest message has the
+        shortest delay, and few round trips are cut short by a message that nobody asked for.
+
+        Args:
+            stamp_s: the camera's time since boot, seconds.
+            received_s: when the message with it arrived.
+
+        Returns:
+            (earliest, latest) on the mission's clock; NaN if that is not known within 0.06 s, or while a step of the
+            camera's clock is suspected or was found within two minutes.
+        """
+        unknown = (math.nan, math.nan)
+        if not self._pairs or not math.isfinite(stamp_s) or self.trips < ENOUGH_TRIPS or self.resolution_s:
+            return unknown
+        stepped = self._before is not None and received_s <= self._found_s + _WINDOW_S
+        if stepped or self._suspect is not None:
+            return unknown
+        arrives_s, error_s = self._predict(stamp_s)
+        earliest_s = arrives_s - error_s - sorted(self._trips_s)[-1 - self.trips // 5]
+        latest_s = min(arrives_s + error_s, received_s)
+        return (earliest_s, latest_s) if 0 <= latest_s - earliest_s <= _TIGHT_S else unknown
 
     @property
     def resolution_s(self) -> float:

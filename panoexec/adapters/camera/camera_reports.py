@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from panoexec.adapters.camera.camera_clock import APART_S, CameraClock
+from panoexec.adapters.camera.camera_clock import APART_S, ENOUGH_TRIPS, CameraClock
 from panoexec.adapters.camera.camera_pace import CameraPace
 from panoexec.adapters.camera.camera_storage import CameraStorage
 from panoexec.adapters.camera.capture import Capture
@@ -22,6 +22,8 @@ from panoexec.adapters.link.message_hub import MavMessage
 from panoexec.adapters.link.stream_keeper import AUTOPILOT
 from panoexec.devices import EvidenceLevel
 
+_RELATED_S: Final = 0.5
+"""Longest wait for an answer (real seconds) that relates the clocks."""
 _SYNCHRONISE_S: Final = 4.0
 """A stamp of the camera's clock that is older than this (mission seconds) is asked for anew at the next photo."""
 
@@ -60,6 +62,7 @@ class CameraReports:
         self._component = component
         self._last_index = -1
         self._synchronised_s = -math.inf
+        self._asked_s = math.nan
 
     def subscribe(self) -> list[Callable[[], None]]:
         """Receive messages; returns what ends that."""
@@ -86,7 +89,16 @@ class CameraReports:
         """Ask for a message that is stamped when it is sent, if the last one is old."""
         target, now_s = self.target, self._link.clock.monotonic()
         if target != AUTOPILOT and now_s - self._synchronised_s > _SYNCHRONISE_S:
+            self._asked_s = now_s
             await self._link.requests.command(REQUEST_MESSAGE, [CAPTURE_STATUS], component=target)
+
+    async def relate(self) -> None:
+        """Relate the camera's clock to the mission's by as many requests as are needed; before its first photo."""
+        for _ in range(ENOUGH_TRIPS - self.stamps.trips):
+            self._asked_s = self._link.clock.monotonic()
+            await self._link.requests.message(
+                CAPTURE_STATUS, "CAMERA_CAPTURE_STATUS", component=self.target, timeout_s=_RELATED_S
+            )
 
     async def poll(self, capture: Capture) -> None:
         """Check for the file of a reported photo; else request the image count and a report that may have been lost.
@@ -124,13 +136,14 @@ class CameraReports:
 
     def _capture_status(self, message: MavMessage) -> None:
         if self._is_ours(message):
-            self._stamped(message)
+            self._stamped(message, answers=True)
             self._link.post(self.matcher.counted, int(message.fields["image_count"]), message.received_s)
 
-    def _stamped(self, message: MavMessage) -> None:
+    def _stamped(self, message: MavMessage, *, answers: bool = False) -> None:
         if self._is_ours(message):
             self.heard_s = time.monotonic()
-            self._link.post(self._take_stamp, message.fields["time_boot_ms"] / 1000.0, message.received_s)
+            stamp_s = message.fields["time_boot_ms"] / 1000.0
+            self._link.post(self._take_answer if answers else self._take_stamp, stamp_s, message.received_s)
 
     def _stored(self, message: MavMessage) -> None:
         if self._is_ours(message):
@@ -143,11 +156,16 @@ class CameraReports:
 
     # --- on the loop
 
-    def _take_stamp(self, stamp_s: float, received_s: float) -> None:
+    def _take_answer(self, stamp_s: float, received_s: float) -> None:
+        """Take a message that was requested, or one of its kind that came by itself meanwhile."""
+        asked_s, self._asked_s = self._asked_s, math.nan
+        self._take_stamp(stamp_s, received_s, asked_s=asked_s)
+
+    def _take_stamp(self, stamp_s: float, received_s: float, *, asked_s: float = math.nan) -> None:
         """Relate the camera's clock to ours by a message that was stamped when it was sent."""
         steps = self.stamps.steps
         self._synchronised_s = received_s
-        self.stamps.note(stamp_s, received_s)
+        self.stamps.note(stamp_s, received_s, asked_s=asked_s)
         self.matcher.redate(self._link.clock.monotonic())
         if self.stamps.steps > steps:
             self.on_restart()

@@ -232,6 +232,7 @@ class Capture:
             duplicates=old.duplicates,
             exposed_s=reported(best.exposed_s, other.exposed_s),
             exposed_error_s=other.exposed_error_s if math.isnan(best.exposed_s) else best.exposed_error_s,
+            opened_s=other.opened_s if math.isnan(best.opened_s[0]) else best.opened_s,
             contradiction=old.contradiction,
             reported_s=reported(old.reported_s, new.reported_s),
             counted_s=reported(old.counted_s, new.counted_s),
@@ -243,5 +244,8 @@ def dated(report: Report, exposed_s: float, error_s: float) -> Report:
     """A report with the date of its exposure on the mission's clock; a date after its arrival is none."""
     if exposed_s > report.evidence.received_s:
         exposed_s = error_s = math.nan
-    evidence = replace(report.evidence, exposed_s=exposed_s, exposed_error_s=error_s)
+    earliest_s, latest_s = opened_s = report.evidence.opened_s
+    if not (earliest_s - error_s <= exposed_s <= latest_s + error_s):
+        opened_s = (math.nan, math.nan)
+    evidence = replace(report.evidence, exposed_s=exposed_s, exposed_error_s=error_s, opened_s=opened_s)
     return replace(report, evidence=evidence, exposed_s=exposed_s, error_s=0.0 if math.isnan(error_s) else error_s)

@@ -34,6 +34,7 @@ def captured_report(message: MavMessage, clock: CameraClock) -> Report:
             received_s=message.received_s,
             reported_s=message.received_s,
             exposed_vehicle_s=boot_s,
+            opened_s=clock.bounds(boot_s, message.received_s),
             image_index=int(fields["image_index"]),
             file_url=url,
             time_utc_s=_utc_s(fields["time_utc"]),

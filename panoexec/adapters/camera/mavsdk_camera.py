@@ -307,6 +307,9 @@ class MavsdkCamera:
         found = await self.discover()
         self._prepared = True
         problem = "" if self._mode is None else await self._mode.ensure()
+        if not found.by_autopilot:
+            with contextlib.suppress(DeviceError):  # then its dates are less exact
+                await self._reports.relate()
         if not problem and self._lock.wanted and found.by_autopilot:
             return "a shutter of the autopilot has no settings: [camera.lock] cannot be made on it"
         return problem or await self._lock.prepare()

@@ -312,8 +312,16 @@ class FakeCapture:
             time_utc_s=clock.time(),
             exposed_s=self.camera.photos[self.index].exposed_s if self.camera.dates else math.nan,
             exposed_error_s=0.02 if self.camera.dates else math.nan,
+            opened_s=self._opened_s(),
+            reported_s=self.proof_s if has_file else math.nan,
             contradiction=self.camera.contradictions.get(self.index, ""),
         )
+
+    def _opened_s(self) -> tuple[float, float]:
+        if math.isnan(self.camera.stamps_s):
+            return math.nan, math.nan
+        stamp_s = self.camera.photos[self.index].exposed_s + self.camera.stamps_s
+        return stamp_s - 0.004, stamp_s + 0.002
 
 
 @dataclass
@@ -339,6 +347,8 @@ class FakeCamera:
     """Whether its reports tell when it exposed."""
     contradictions: dict[int, str] = field(default_factory=dict)
     """Why a photo may be another one, by index."""
+    stamps_s: float = math.nan
+    """How long after the opening of its shutter it stamps a photo, if round trips bound its stamps."""
     # what happened
     photos: list[TakenPhoto] = field(default_factory=list)
 

@@ -43,6 +43,46 @@ def test_a_date_is_wrong_by_no_more_than_it_says(rate: float, boot: float, seed:
     assert error_s < DELAY_S + 0.03 + clock.resolution_s
 
 
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(rate=st.floats(0.95, 1.05), boot=st.floats(0, 1e5), seed=st.integers(0, 2**32), slowest_s=st.floats(0.004, 0.05))
+def test_round_trips_bound_a_stamp(rate: float, boot: float, seed: int, slowest_s: float) -> None:
+    """Requests and answers each need up to `slowest_s`; now and then a message that nobody asked for comes first."""
+    rng = random.Random(seed)
+    clock = CameraClock()
+    bounded = 0
+    for asked_s in range(1000, 1200, 4):
+        sent_s = asked_s + rng.uniform(0.002, slowest_s)
+        if rng.random() < 0.05:  # sent before the request, and received after it
+            sent_s = asked_s - rng.uniform(0.0, 0.002)
+        received_s = max(asked_s + 0.0005, sent_s + rng.uniform(0.002, slowest_s))
+        clock.note(boot + 0.0137 + rate * (sent_s - 1000), received_s, asked_s=asked_s)
+        truth_s = asked_s + rng.uniform(0.1, 3.9)
+        earliest_s, latest_s = clock.bounds(boot + 0.0137 + rate * (truth_s - 1000), truth_s + 0.1)
+        if math.isfinite(earliest_s):
+            bounded += 1
+            assert earliest_s - 1e-6 <= truth_s <= latest_s + 1e-6
+            assert latest_s - earliest_s <= 0.06
+    assert bounded > 30 or slowest_s > 0.02
+    assert not math.isfinite(clock.bounds(math.nan, 1201.0)[0])
+
+
+def test_nothing_is_bounded_by_few_round_trips_coarse_stamps_or_after_a_step() -> None:
+    def related(trips: int, *, rounded: bool = False) -> CameraClock:
+        clock = CameraClock()
+        for number in range(trips):
+            sent_s = 4.0 * number + 0.004
+            clock.note(round(sent_s) if rounded else sent_s + 0.003, sent_s + 0.004, asked_s=sent_s - 0.004)
+        return clock
+
+    assert not math.isfinite(related(2).bounds(9.003, 9.1)[0])
+    assert related(9).bounds(33.003, 33.1) == pytest.approx((33.0, 33.004), abs=0.015)
+    assert not math.isfinite(related(9, rounded=True).bounds(33.0, 33.1)[0])
+    stepped = related(9)
+    stepped.note(45.0, 37.0)
+    assert stepped.steps == 1
+    assert not math.isfinite(stepped.bounds(46.0, 38.1)[0])
+
+
 @pytest.mark.parametrize("step_s", [-300.0, -3.0, -0.7, 0.7, 3.0, 300.0])
 def test_two_messages_after_a_step_relate_the_clocks_anew(step_s: float) -> None:
     clock = CameraClock()

@@ -1,0 +1,71 @@
+"""A gust between the trigger and the opening of the shutter harms no photo, if the opening is proven."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+
+from panoexec.mission.log import events as ev
+from panoexec.mission.log.states import MissionState
+from tests.unit.fakes.flying import fly
+from tests.unit.fakes.world import TOLERANCE, World, a_plan, some_settings
+
+LATENCY_S, EXPOSURE_S, REPORT_S = 0.1, 0.02, 0.05
+NEAR_DEG = TOLERANCE.pitch_deg + 0.6 * min(0.25 * TOLERANCE.pitch_deg, 0.05)
+"""Out of tolerance, by less than may be while the shutter is closed."""
+FAR_DEG = TOLERANCE.pitch_deg + 1.5 * min(0.25 * TOLERANCE.pitch_deg, 0.05)
+BEFORE, DURING = (0.02, 0.06), (LATENCY_S - 0.01, LATENCY_S + EXPOSURE_S + 0.01)
+LEARNED = 4
+"""Photos without a gust: three make the camera's lag known."""
+
+
+def gusts(
+    world: World, *, pitch_deg: float, span_s: tuple[float, float], stamps_s: float, irregular_s: float = 0.0
+) -> None:
+    """From the fifth photo on, a gust after each trigger but those of retakes."""
+    camera, gimbal = world.camera, world.gimbal
+    camera.latency_s, camera.exposure_s, camera.proof_after_s = LATENCY_S, EXPOSURE_S, REPORT_S
+    camera.dates, camera.stamps_s = True, stamps_s
+    gimbal.rate_hz = 50.0
+
+    def drift(at_s: float) -> tuple[float, float, float]:
+        camera.latency_s = LATENCY_S + irregular_s * (len(camera.photos) % 3)
+        if len(camera.photos) <= LEARNED or len(world.sink.of(ev.ShotRejected)):
+            return 0.0, 0.0, 0.0
+        since_s = at_s - camera.photos[-1].triggered_s
+        return 0.0, pitch_deg if span_s[0] <= since_s <= span_s[1] else 0.0, 0.0
+
+    gimbal.drift = drift
+
+
+def flown(prepare: Callable[[World], None]) -> list[ev.ShotRejected]:
+    """Rejections of a mission, whose accepted photos were all taken in tolerance by the fakes' truth."""
+    settings = some_settings(latency_s=0.15, exposure_s=EXPOSURE_S)
+    world = fly(prepare=prepare, plan=a_plan(8), settings=settings)
+    assert world.record.state is MissionState.COMPLETE
+    return world.sink.of(ev.ShotRejected)
+
+
+def test_a_gust_before_the_proven_opening_costs_no_photo() -> None:
+    assert flown(lambda w: gusts(w, pitch_deg=NEAR_DEG, span_s=BEFORE, stamps_s=0.0)) == []
+
+
+@pytest.mark.parametrize(
+    ("pitch_deg", "span_s", "stamps_s", "irregular_s"),
+    [
+        pytest.param(NEAR_DEG, DURING, 0.0, 0.0, id="while the shutter was open"),
+        pytest.param(FAR_DEG, BEFORE, 0.0, 0.0, id="a pose far off"),
+        pytest.param(NEAR_DEG, BEFORE, math.nan, 0.0, id="nothing bounds the stamps"),
+        pytest.param(NEAR_DEG, BEFORE, -LATENCY_S + 0.005, 0.0, id="stamped at the command"),
+        pytest.param(NEAR_DEG, BEFORE, EXPOSURE_S + REPORT_S - 0.003, 0.0, id="stamped at the report"),
+        pytest.param(NEAR_DEG, BEFORE, 0.0, 0.02, id="an irregular shutter"),
+    ],
+)
+def test_otherwise_the_photo_is_taken_again(
+    pitch_deg: float, span_s: tuple[float, float], stamps_s: float, irregular_s: float
+) -> None:
+    rejected = flown(lambda w: gusts(w, pitch_deg=pitch_deg, span_s=span_s, stamps_s=stamps_s, irregular_s=irregular_s))
+    assert [event.code for event in rejected] == ["pointing"]
+    assert "pitch off by +0.1" in rejected[0].reason
