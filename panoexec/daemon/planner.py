@@ -27,6 +27,7 @@ _KINDS: Final[dict[str, type[PanoexecError]]] = {
     "": PanoexecError,
 }
 _CRASHES: Final = frozenset({-signal.SIGSEGV, -signal.SIGABRT, -signal.SIGBUS})
+_TOLD: Final = 300
 # one thread: numpy's linear algebra starts one for each core, each with buffers of its own
 _ENVIRONMENT: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "1"}
 
@@ -44,18 +45,18 @@ async def plan_apart(spec: PlanSpec) -> Plan:
         *(sys.executable, "-c", _CHILD),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.DEVNULL,
+        stderr=asyncio.subprocess.PIPE,
         env=os.environ | _ENVIRONMENT,
     )
     try:
-        out, _ = await process.communicate(pickle.dumps(spec))
+        out, complaint = await process.communicate(pickle.dumps(spec))
     finally:
         if process.returncode is None:
             with contextlib.suppress(ProcessLookupError):
                 process.kill()
             await process.wait()
     if process.returncode != 0 or not out:
-        raise _ended(process.returncode)
+        raise _ended(process.returncode, complaint.decode(errors="replace").strip())
     outcome = pickle.loads(out)  # noqa: S301  (from our own child)
     assert isinstance(outcome, Outcome)
     if outcome.plan is None:
@@ -63,10 +64,18 @@ async def plan_apart(spec: PlanSpec) -> Plan:
     return outcome.plan
 
 
-def _ended(code: int | None) -> PanoexecError:
-    """The error for a child that ended without an outcome."""
+def _ended(code: int | None, complaint: str) -> PanoexecError:
+    """The error for a child that ended without an outcome.
+
+    Args:
+        code: of its exit.
+        complaint: what it wrote to standard error.
+    """
     if code == -signal.SIGKILL:
         return PlanningBudgetError(f"the kernel ended the planner: the computer is out of memory, or {out_of_time()}")
-    if code in _CRASHES:  # libraries that do not report a failed allocation
+    # libraries that do not report a failed allocation to Python
+    if code in _CRASHES or "memory" in complaint.lower():
         return PlanningBudgetError(out_of_memory())
-    return PanoexecError(f"planning ended with code {code}")
+    if code == -signal.SIGXCPU:
+        return PlanningBudgetError(out_of_time())
+    return PanoexecError(f"planning ended with code {code}: {complaint[-_TOLD:]}")

@@ -93,8 +93,15 @@ def main() -> None:
     give_way()
     limit_time(CPU_S)
     limit_memory(MEMORY_MB)
-    spec = pickle.loads(sys.stdin.buffer.read())  # noqa: S301  (from our own parent)
-    sys.stdout.buffer.write(pickle.dumps(outcome_of(spec)))
+    try:
+        spec = pickle.loads(sys.stdin.buffer.read())  # noqa: S301  (from our own parent)
+        outcome = pickle.dumps(outcome_of(spec))
+    except MemoryError:
+        outcome = pickle.dumps(Outcome(kind="budget", text=out_of_memory()))
+    except _OutOfTimeError:  # on the way out of the planner
+        outcome = pickle.dumps(Outcome(kind="budget", text=out_of_time()))
+    signal.signal(signal.SIGXCPU, signal.SIG_IGN)
+    sys.stdout.buffer.write(outcome)
 
 
 def give_way() -> None:

@@ -72,7 +72,9 @@ async def test_a_child_that_dies_is_an_error(monkeypatch: pytest.MonkeyPatch) ->
         ("limit_time(1)", PlanningBudgetError, "more than 300 s of processor time: ask for a smaller band"),
         ("os.abort()", PlanningBudgetError, "needs more than 300 MB of memory"),
         ("os.kill(os.getpid(), 9)", PlanningBudgetError, "the computer is out of memory, or"),
-        ("sys.exit(3)", PanoexecError, "planning ended with code 3"),
+        ("sys.stderr.write('blas: memory allocation failed'); os._exit(1)", PlanningBudgetError, "more than 300 MB"),
+        ("os.kill(os.getpid(), 24)", PlanningBudgetError, "more than 300 s of processor time"),
+        ("sys.exit('no idea')", PanoexecError, "planning ended with code 1: no idea"),
     ],
 )
 async def test_a_budget_that_is_exceeded_is_an_error(
@@ -89,6 +91,19 @@ async def test_a_budget_that_is_exceeded_is_an_error(
     with pytest.raises(error, match=says):
         await plan_apart(long)
     assert children() == set()
+
+
+@pytest.mark.parametrize(
+    ("raised", "says"), [("_OutOfTimeError", "300 s of processor time"), ("MemoryError", "300 MB of memory")]
+)
+async def test_a_budget_that_is_exceeded_on_the_way_out_is_the_same_error(
+    monkeypatch: pytest.MonkeyPatch, raised: str, says: str
+) -> None:
+    child = f"from panoexec.daemon.planner_process import *; from panoexec.daemon import planner_process as p\n\
+def late(spec): raise p.__dict__.get('{raised}', MemoryError)\np.outcome_of = late; p.main()"
+    monkeypatch.setattr(planner, "_CHILD", child)
+    with pytest.raises(PlanningBudgetError, match=says):
+        await plan_apart(a_spec())
 
 
 async def test_a_plan_of_too_many_images_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
