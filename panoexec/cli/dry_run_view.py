@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from panoexec.cli.output import console, has_colours, minutes, note, print_facts
-from panoexec.cli.sphere_map import HEIGHT, WIDTH, Mark, SphereMap, marks_of
+from panoexec.cli.sphere_map import Mark, SphereMap, marks_of, size_for
 from panoexec.dryrun.run import DryRunSummary
 from panoexec.mission.executor import Mission
 from panoexec.mission.log import events as ev
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 REFRESH_HZ = 4.0
-ROOM_LINES = 6
-"""Minimum number of terminal lines besides the map: legend, progress bar and some event lines."""
+ROOM_LINES = 5
+"""Minimum number of terminal lines besides the map: progress bar and some event lines."""
 
 
 class MissionView:
@@ -82,13 +82,14 @@ class MissionView:
 
         assert self._progress is not None
         assert self._out is not None
-        size = self._out.size
-        if self._plan is None or size.width < WIDTH or size.height < HEIGHT + ROOM_LINES:
+        size = size_for(self._out.size.width, self._out.size.height, beside=ROOM_LINES)
+        if self._plan is None or size is None:
             return self._progress.get_renderable()
+        if self._map is None or self._map.size != size:
+            self._map, self._drawn = SphereMap(self._plan.camera, width=size[0], height=size[1]), None
         if self._drawn is None or self._drawn[0] is not self._marks:
-            self._map = self._map or SphereMap(self._plan.camera)
-            marks = self._marks
-            self._drawn = marks, self._map.text(self._shots, marks, colours=has_colours(self._out))
+            marks, north = self._marks, self._mission is not None and self._mission.record.reference == "north"
+            self._drawn = marks, self._map.text(self._shots, marks, colours=has_colours(self._out), north=north)
         return Group(self._drawn[1], self._progress.get_renderable())
 
     def _look(self, mission: Mission) -> None:

@@ -10,6 +10,7 @@ from panoexec.cli.output import note
 from panoexec.errors import UsageError
 from panoexec.inputs.config import MqttSection
 from panoexec.mqtt.ground_station import GroundStation
+from panoexec.mqtt.senders import CLI, this_user, transaction_of
 
 _WRONG: Final = frozenset(
     {"too_large", "not_json", "unknown_command", "invalid", "conflict", "planning", "planning_budget"}
@@ -25,6 +26,7 @@ async def ask(
     Raises:
         LinkError: no broker, the vehicle is offline, or it did not answer.
     """
+    fields = {"transaction": transaction_of(CLI, this_user())} | fields
     async with GroundStation(section) as ground:
         return await ground.request(vehicle, command, fields, timeout_s=timeout_s)
 
@@ -38,9 +40,14 @@ def exit_code(answer: dict[str, Any]) -> int:
 
 def report_error(answer: dict[str, Any], vehicle: str, command: str) -> None:
     """Say on stderr why a vehicle rejected a command."""
+    note(f"panoexec: {error_text(answer, vehicle, command)}")
+
+
+def error_text(answer: dict[str, Any], vehicle: str, command: str) -> str:
+    """Why a vehicle rejected a command."""
     why = answer["error"]
     where = f" ({why['field']})" if why.get("field") else ""
-    note(f"panoexec: {vehicle} rejected {command}: {why['code']}{where}: {why['message']}")
+    return f"{vehicle} rejected {command}: {why['code']}{where}: {why['message']}"
 
 
 def plan_document(path: str | Path) -> Any:

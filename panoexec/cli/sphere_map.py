@@ -29,6 +29,17 @@ if TYPE_CHECKING:
 WIDTH: Final = 72
 HEIGHT: Final = 18
 """Size of the map in characters; a pixel is 5° wide and 5° high."""
+SMALL: Final = ((48, 12), (36, 9))
+"""Sizes of the map where there is less room; a pixel is 7.5° or 10° wide and high."""
+MARGIN: Final = 4
+"""Columns of the elevations beside the map."""
+CAPTIONS: Final = 2
+"""Lines below the map: azimuths and legend."""
+_NORTH: Final = ("S", "W", "N", "E", "S")
+_PLAIN: Final = ("-180", "-90", "0°", "+90", "+180")
+"""Azimuths where yaw 0 is north, and where it is not or nobody knows."""
+_STEP_DEG: Final = 30
+"""From one elevation beside the map to the next."""
 
 
 class Mark(IntEnum):
@@ -78,6 +89,20 @@ def marks_of(record: MissionRecord) -> dict[int, Mark]:
     return {index: mark_of(shot, current=index == record.current) for index, shot in record.shots.items()}
 
 
+def size_for(columns: int, lines: int, *, beside: int) -> tuple[int, int] | None:
+    """The largest map that a terminal has room for, in characters; None if there is none.
+
+    Args:
+        columns: of the terminal.
+        lines: of the terminal.
+        beside: lines that are needed for something else.
+    """
+    for width, height in ((WIDTH, HEIGHT), *SMALL):
+        if columns >= width + MARGIN and lines >= height + CAPTIONS + beside:
+            return width, height
+    return None
+
+
 class SphereMap:
     """Draws the shots of one mission; the pixels of each image are computed once."""
 
@@ -90,6 +115,8 @@ class SphereMap:
             height: height of the map in characters.
         """
         self._camera = camera
+        self.size = width, height
+        self.lines = height + CAPTIONS
         self._shape = (2 * height, width)
         azimuth = np.radians(-180.0 + 360.0 * (np.arange(width) + 0.5) / width)[None, :]
         elevation = np.radians(90.0 - 180.0 * (np.arange(2 * height) + 0.5) / (2 * height))[:, None]
@@ -118,19 +145,24 @@ class SphereMap:
             self._seen[shot.index] = found
         return found
 
-    def text(self, shots: Sequence[Shot], marks: Mapping[int, Mark], *, colours: bool = True) -> Text:
-        """The map with its legend.
+    def text(
+        self, shots: Sequence[Shot], marks: Mapping[int, Mark], *, colours: bool = True, north: bool = False
+    ) -> Text:
+        """The map with azimuths, elevations and its legend.
 
         Args:
             shots: all shots of the mission.
             marks: marks by shot index; a shot without a mark is pending.
             colours: False draws with characters only, for terminals without colours.
+            north: the plan's yaw 0 is true north: azimuths are N, E, S, W instead of degrees.
         """
         from rich.text import Text  # noqa: PLC0415
 
         pixels = self.pixels(shots, marks)
         out = Text(no_wrap=True)
-        for above, below in zip(pixels[0::2], pixels[1::2], strict=True):
+        beside = self._elevations()
+        for line, (above, below) in enumerate(zip(pixels[0::2], pixels[1::2], strict=True)):
+            out.append(f"{beside.get(line, ''):>{MARGIN - 1}} ", "dim" if colours else "")
             # equal neighbours are one piece: a frame has 3 kB instead of 50, which matters on slow remote shells
             for (top, bottom), alike in groupby(zip(above.tolist(), below.tolist(), strict=True)):
                 length = len(list(alike))
@@ -139,12 +171,31 @@ class SphereMap:
                 else:
                     out.append(_character(max(top, bottom)) * length)
             out.append("\n")
+        out.append(" " * MARGIN + self._azimuths(_NORTH if north else _PLAIN) + "\n", "dim" if colours else "")
         counts = {mark: sum(marks.get(shot.index, Mark.PENDING) is mark for shot in shots) for mark in LEGEND}
         for mark, (colour, character, word) in LEGEND.items():
             if counts[mark]:
                 out.append("■ " if colours else f"{character} ", colour if colours else "")
                 out.append(f"{word} {counts[mark]}  ")
         return out
+
+    def _elevations(self) -> dict[int, str]:
+        """What is written beside the lines: +60 to -60."""
+        height = self.size[1]
+        return {
+            min(int((90 - elevation) * height / 180), height - 1): f"{elevation:+d}" if elevation else "0°"
+            for elevation in range(90 - _STEP_DEG, -90, -_STEP_DEG)
+        }
+
+    def _azimuths(self, names: Sequence[str]) -> str:
+        """What is written below the map: the first and the last at its ends, the others where they are."""
+        width = self.size[0]
+        line = [" "] * width
+        for place, name in enumerate(names):
+            at = round(place * width / (len(names) - 1)) - len(name) // 2
+            at = min(max(at, 0), width - len(name))
+            line[at : at + len(name)] = name
+        return "".join(line)
 
 
 def _colour(mark: int) -> str:

@@ -5,6 +5,9 @@ message from the vehicle was received or that the broker cannot be reached. --al
 Ctrl-C. --json prints one document at the end, also when interrupted: the last status and state and all received events.
 If the connection to the broker is lost, the command reconnects.
 
+On a terminal, keys command the vehicle that is shown: p pause, r resume, s skip the current shot, f finish, a abort.
+Each is confirmed by y.
+
 Examples:
   panoexec watch --host broker.local --vehicle drone
   panoexec watch --all --timeout 10 --json
@@ -14,17 +17,27 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-from contextlib import aclosing
+import os
+import sys
+from contextlib import ExitStack, aclosing, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rich.live import Live
-
+import panoexec.cli.lean  # noqa: F401  (must be imported first)
+from panoexec.cli import operate
 from panoexec.cli.broker_options import add_broker_arguments, broker_of
 from panoexec.cli.numbers import positive
 from panoexec.cli.output import console, has_colours, note, print_json
+from panoexec.cli.requesting import ask, error_text
+from panoexec.cli.storage_options import CONFIG
+from panoexec.cli.watch_keys import TIMEOUT_S, Keys, TerminalKeys, can_read_keys
 from panoexec.cli.watch_view import ENDED, Watched, fleet_view, mission_view
-from panoexec.errors import LinkError
-from panoexec.inputs.config import MqttSection
+from panoexec.errors import LinkError, PanoexecError
+from panoexec.inputs.config import MqttSection, StorageSection, load_config
 from panoexec.mqtt.ground_station import GroundStation
+
+if TYPE_CHECKING:
+    from rich.live import Live
 
 EXIT_INTERRUPTED = 130
 _AGAIN_S = 1.0
@@ -67,52 +80,114 @@ def run(args: argparse.Namespace) -> int:
     if watched is None:
         note(f"panoexec: no message received from {vehicle}: check its id ([vehicle] id) and whether it has connected")
         return LinkError.exit_code
+    if watched.ended and not args.json:
+        print(report_place(str(watched.state.get("mission_id")), vehicle, _storage(args)))
     return ENDED.get(watched.ended, 0)
+
+
+def report_place(mission_id: str, vehicle: str, storage: Path) -> str:
+    """Where the report of a mission is: on this computer, or how it comes here.
+
+    Args:
+        mission_id: of the mission.
+        vehicle: its vehicle's id.
+        storage: where missions are on this computer, if it is the vehicle's.
+    """
+    folder = storage / "missions" / mission_id
+    with suppress(OSError):  # a storage that this user may not enter
+        if folder.is_dir():
+            return f"report: {folder / 'report.html'}"
+    return f"report: missions/{mission_id}/report.html on {vehicle}; here by panoexec fetch {mission_id} --from HOST"
+
+
+def _storage(args: argparse.Namespace) -> Path:
+    """Where a daemon on this computer keeps missions."""
+    path = args.config or (CONFIG if os.access(CONFIG, os.R_OK) else None)
+    try:
+        return StorageSection().path if path is None else load_config(path, os.environ).storage.path
+    except PanoexecError:  # a configuration that was not asked for
+        return StorageSection().path
+
+
+class _Screen:
+    """The live view of one vehicle, or of all."""
+
+    def __init__(self, live: Live, vehicle: str | None, vehicles: dict[str, Watched]) -> None:
+        self.live = live
+        self.vehicle = vehicle
+        self.vehicles = vehicles
+        self.keys: Keys | None = None
+
+    def draw(self) -> None:
+        """Draw what is known."""
+        out = self.live.console
+        size = (out.width, out.height) if out.is_terminal else (0, 0)
+        if self.vehicle is None:
+            self.live.update(fleet_view(self.vehicles, columns=size[0]), refresh=True)
+            return
+        one = self.vehicles.get(self.vehicle, Watched())
+        note_text = "" if self.keys is None else self.keys.note
+        view = mission_view(self.vehicle, one, room=size, colours=has_colours(out), note=note_text)
+        self.live.update(view, refresh=True)
 
 
 async def _watch(
     section: MqttSection, vehicle: str | None, vehicles: dict[str, Watched], args: argparse.Namespace
 ) -> None:
     """Listen until the mission ends; reconnect to a broker that was connected once."""
+    from rich.live import Live  # noqa: PLC0415  (after what must be imported first)
+
     known, told = False, ""
     async with asyncio.timeout(args.timeout) as limit:
-        with Live(console=console(stderr=True), auto_refresh=False, transient=args.json) as live:
-            while True:
-                try:
-                    async with GroundStation(section) as ground:
-                        known = True
-                        await _listen(ground, vehicle, vehicles, live, limit if not args.follow else None)
-                        return
-                except LinkError as error:
-                    if not known:
-                        raise
-                    if str(error) != told:
-                        told = str(error)
-                        live.console.print(f"{told}: retrying")
-                    await asyncio.sleep(_AGAIN_S)
+        with ExitStack() as stack:
+            live = stack.enter_context(Live(console=console(stderr=True), auto_refresh=False, transient=args.json))
+            screen = _Screen(live, vehicle, vehicles)
+            if vehicle is not None and live.console.is_terminal and can_read_keys(sys.stdin):
+                screen.keys = _keys(section, vehicle, screen)
+                stack.enter_context(TerminalKeys(sys.stdin, screen.keys.press))
+            try:
+                while True:
+                    try:
+                        async with GroundStation(section) as ground:
+                            known = True
+                            await _listen(ground, screen, limit if not args.follow else None)
+                            return
+                    except LinkError as error:
+                        if not known:
+                            raise
+                        if str(error) != told:
+                            told = str(error)
+                            live.console.print(f"{told}: retrying")
+                        await asyncio.sleep(_AGAIN_S)
+            finally:
+                if screen.keys is not None:
+                    await screen.keys.close()
+                    screen.keys = None
+                    screen.draw()
 
 
-async def _listen(
-    ground: GroundStation,
-    vehicle: str | None,
-    vehicles: dict[str, Watched],
-    live: Live,
-    limit: asyncio.Timeout | None,
-) -> None:
-    """Listen until the mission of the vehicle ends; without end if `vehicle` or `limit` is None."""
+def _keys(section: MqttSection, vehicle: str, screen: _Screen) -> Keys:
+    async def send(name: str) -> str:
+        verb = operate.VERBS[name]
+        try:
+            answer = await ask(section, vehicle, verb.request, {}, TIMEOUT_S)
+        except LinkError as error:
+            return str(error)
+        if answer["status"] != "ok":
+            return error_text(answer, vehicle, name)
+        return verb.sentence(answer.get("data") or {}, vehicle)
+
+    return Keys(vehicle, send=send, changed=screen.draw, now=asyncio.get_running_loop().time)
+
+
+async def _listen(ground: GroundStation, screen: _Screen, limit: asyncio.Timeout | None) -> None:
+    """Listen until the mission of the vehicle ends; without end if it is of all vehicles, or `limit` is None."""
+    vehicle = screen.vehicle
     async with aclosing(ground.listen(vehicle)) as messages:
         async for heard in messages:
-            name = heard.vehicle
-            one = vehicles.setdefault(name, Watched())
+            one = screen.vehicles.setdefault(heard.vehicle, Watched())
             one.hear(heard.kind, heard.document)
-            out = live.console
-            size = (out.width, out.height) if out.is_terminal else (0, 0)
-            view = (
-                fleet_view(vehicles)
-                if vehicle is None
-                else mission_view(name, one, room=size, colours=has_colours(out))
-            )
-            live.update(view, refresh=True)
+            screen.draw()
             if vehicle is None or limit is None or not one.ended:
                 continue
             if one.finished:

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any, Final
 
-from rich.console import Group, RenderableType
+from rich.console import Group, JustifyMethod, RenderableType
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
 from panoexec.cli.output import minutes
-from panoexec.cli.sphere_map import HEIGHT, MARKS, WIDTH, Mark, SphereMap
-from panoexec.errors import InputFileError
-from panoexec.inputs.plan_file import PlanFile, plan_from_data
-from panoexec.mission.log.shot_marks import marks_from_text
+from panoexec.mqtt.senders import received
+
+if TYPE_CHECKING:
+    from panoexec.cli.sphere_map import Mark, SphereMap
+    from panoexec.inputs.plan_file import PlanFile
+
+# what draws maps needs numpy, and is imported when a plan arrives: `watch` is to show at once that it listens
 
 ENDED: Final = {"complete": 0, "incomplete": 1, "aborted": 1, "failed": 3}
 """Final states of a mission, with the exit code of `watch`."""
@@ -48,20 +52,14 @@ _VERDICTS: Final = {
     "shot_skipped": "skipped",
 }
 
-
-_MARKS: Final = {
-    "slewing": Mark.CURRENT,
-    "taken": Mark.CURRENT,
-    "accepted": Mark.DONE,
-    "again": Mark.AGAIN,
-    "rejected": Mark.AGAIN,
-    "interrupted": Mark.AGAIN,
-    "missed": Mark.MISSING,
-    "skipped": Mark.MISSING,
-}
 _ROOM_LINES: Final = 6
+"""Head, bar, links, heading of the table, last event and keys."""
 _LEAST_ATTEMPTS: Final = 3
 """Minimum number of attempts that must fit below the map."""
+_WIDE: Final = 90
+"""Columns from which a table has all its columns."""
+_BAR: Final = 40
+_REASON_LINES: Final = 3
 
 
 @dataclass(slots=True)
@@ -89,7 +87,7 @@ class Watched:
         last: text of the last event that does not belong to an attempt.
         attempts: attempts by shot and attempt number, in order of their start.
         plan: the plan of the mission; None before it was received.
-        sphere: draws the map of that plan.
+        sphere: draws the map of that plan, in the size that was last asked for.
     """
 
     status: str = ""
@@ -122,27 +120,33 @@ class Watched:
             self._tell(document)
 
     def _take_plan(self, document: Any) -> None:
-        try:
-            self.plan = plan_from_data(document, source="plan")
-        except InputFileError:  # empty (no mission), or not a valid plan
-            self.plan = None
-        camera = None if self.plan is None else self.plan.camera
-        self.sphere = None if camera is None else SphereMap(camera)
+        from panoexec.cli import watch_map  # noqa: PLC0415
+
+        self.plan = watch_map.plan_of(document)
+        self.sphere = None
+
+    def map(self, room: tuple[int, int], *, beside: int) -> SphereMap | None:
+        """What draws the map of the plan.
+
+        Args:
+            room: columns and lines of the terminal.
+            beside: lines that are needed for something else.
+
+        Returns:
+            None without a plan whose camera is known, or without room.
+        """
+        if self.plan is None or self.plan.camera is None:
+            return None
+        from panoexec.cli import watch_map  # noqa: PLC0415
+
+        self.sphere = watch_map.sphere_for(self.plan.camera, self.sphere, room, beside=beside)
+        return self.sphere
 
     def marks(self) -> dict[int, Mark]:
         """The mark of each shot: from the state if it lists the shots, else from the received attempts."""
-        total, text = self.state.get("shots_total"), self.state.get("shots")
-        if isinstance(total, int) and isinstance(text, str) and (told := marks_from_text(text, count=total)):
-            return {index: MARKS[standing] for index, standing in enumerate(told)}
-        out: dict[int, Mark] = {}
-        for (shot, number), attempt in self.attempts.items():
-            again = out.get(shot) in (Mark.DONE, Mark.RETAKEN)  # the earlier photo counts until a new one is accepted
-            mark = _MARKS.get(attempt.verdict, Mark.PENDING)
-            if mark is Mark.DONE and number > 1:
-                mark = Mark.RETAKEN
-            if not (again and mark in (Mark.AGAIN, Mark.PENDING)):
-                out[shot] = mark
-        return out
+        from panoexec.cli import watch_map  # noqa: PLC0415
+
+        return watch_map.marks_of(self.state, ((key, one.verdict) for key, one in self.attempts.items()))
 
     def _tell(self, event: Mapping[str, Any]) -> None:
         kind = str(event.get("type"))
@@ -150,6 +154,9 @@ class Watched:
         if kind == "mission_started":
             self.attempts.clear()
         if not isinstance(event.get("shot"), int) or not isinstance(event.get("attempt"), int):
+            if kind == "command_received":
+                self.last = received(event)
+                return
             told = event.get("reason") or event.get("text") or "; ".join(map(str, event.get("problems") or ()))
             self.last = f"{kind.replace('_', ' ')}{f': {told}' if told else ''}"
             return
@@ -164,56 +171,79 @@ class Watched:
             one.reason = str(event.get("reason") or "")
 
 
-def mission_view(name: str, one: Watched, *, room: tuple[int, int] = (0, 0), colours: bool = False) -> Group:
+def mission_view(
+    name: str, one: Watched, *, room: tuple[int, int] = (0, 0), colours: bool = False, note: str = ""
+) -> Group:
     """The view of one vehicle: mission progress and the last attempts.
 
     Args:
         name: the vehicle's id.
         one: the received messages.
-        room: columns and lines of the terminal; the map is drawn only if it fits.
+        room: columns and lines of the terminal, (0, 0) without one; what does not fit is left out.
         colours: whether to draw the map in colour.
+        note: last line, about keys.
     """
     state = one.state
+    narrow = 0 < room[0] < _WIDE
+    reason = _wrapped(str(state.get("reason") or ""), room[0]) if room[0] else []
+    lines = _ROOM_LINES + len(reason)
+    parts: list[RenderableType] = [_head(name, one, alone=not room[0]), *reason]
+    most = min(_LAST_ATTEMPTS, max(room[1] - lines, 1)) if room[1] else _LAST_ATTEMPTS
+    sphere = one.map(room, beside=lines + _LEAST_ATTEMPTS)
+    if sphere is not None and one.plan is not None:
+        most = min(most, room[1] - sphere.lines - lines)
+        north = state.get("reference") == "north"
+        parts.insert(0, sphere.text(one.plan.shots, one.marks(), colours=colours, north=north))
     total, done = state.get("shots_total") or 0, state.get("shots_done") or 0
-    head = Table.grid(padding=(0, 2))
-    head.add_row(
-        Text(name, style="bold"),
-        _styled(one.status or "unknown"),
-        _styled(str(state.get("state", ""))),
-        Text(str(state.get("reason") or "")),
-    )
-    parts: list[RenderableType] = [head]
-    most = _LAST_ATTEMPTS
-    if (
-        one.sphere is not None
-        and one.plan is not None
-        and room[0] >= WIDTH
-        and room[1] >= HEIGHT + _ROOM_LINES + _LEAST_ATTEMPTS
-    ):
-        most = min(most, room[1] - HEIGHT - _ROOM_LINES)
-        parts.insert(0, one.sphere.text(one.plan.shots, one.marks(), colours=colours))
     if total:
         bar = Table.grid(padding=(0, 2))
         eta = state.get("eta_s")
-        bar.add_row(
-            ProgressBar(total=total, completed=done, width=40),
+        texts = (
             f"{done}/{total}",
             f"{state.get('retakes', 0)} retakes",
             "" if eta is None else f"{minutes(eta)} left",
         )
+        width = min(_BAR, max(6, room[0] - sum(len(text) + 2 for text in texts))) if room[0] else _BAR
+        bar.add_row(ProgressBar(total=total, completed=done, width=width), *texts)
         parts.append(bar)
-    parts.append(Text(_links(state), style="dim"))
+    parts.append(_line(_links(state), "dim"))
     if one.attempts:
-        parts.append(_attempts(one, most))
+        parts.append((_short_attempts if narrow else _attempts)(one, most))
     if one.last:
-        parts.append(Text(one.last))
+        parts.append(_line(one.last))
+    if note:
+        parts.append(_line(note, "bold"))
     return Group(*parts)
+
+
+def _head(name: str, one: Watched, *, alone: bool) -> Table:
+    """Vehicle, status and state; without a terminal (`alone`) also why it is in this state."""
+    head = Table.grid(padding=(0, 2))
+    head.add_row(
+        _line(name, "bold"),
+        _styled(one.status or "unknown"),
+        _styled(str(one.state.get("state", ""))),
+        Text(str(one.state.get("reason") or "") if alone else ""),
+    )
+    return head
+
+
+def _wrapped(text: str, columns: int) -> list[Text]:
+    """Text in as many lines as it takes, but not more than a terminal can spare."""
+    return [Text(line) for line in wrap(" ".join(text.split()), columns, max_lines=_REASON_LINES, placeholder=" …")]
+
+
+def _line(text: str, style: str = "") -> Text:
+    """Text that takes exactly one line, cut off where the terminal ends."""
+    return Text(" ".join(text.split()), style=style, no_wrap=True, overflow="ellipsis")
 
 
 def _attempts(one: Watched, most: int) -> Table:
     table = Table(box=None, padding=(0, 2), pad_edge=False)
     for column in ("shot", "attempt", "pitch, yaw", "verdict", "error p r y", "reason"):
-        table.add_column(column, justify="right" if column in ("shot", "attempt") else "left")
+        # only the last one gives way where there is too little room
+        justify: JustifyMethod = "right" if column in ("shot", "attempt") else "left"
+        table.add_column(column, justify=justify, no_wrap=column != "reason")
     for attempt in list(one.attempts.values())[-most:]:
         table.add_row(
             str(attempt.shot),
@@ -221,30 +251,54 @@ def _attempts(one: Watched, most: int) -> Table:
             attempt.pose,
             _styled(attempt.verdict),
             attempt.error,
-            Text(attempt.reason),
+            _line(attempt.reason),
         )
     return table
 
 
-def fleet_view(vehicles: Mapping[str, Watched]) -> Table:
-    """The view of a fleet: one line per vehicle."""
-    table = Table(box=None, padding=(0, 2), pad_edge=False)
-    for column in ("vehicle", "status", "state", "shots", "retakes", "left", "links", "battery", "reason"):
-        table.add_column(column)
+def _short_attempts(one: Watched, most: int) -> Table:
+    """For a narrow terminal: where it points only while that is news, the error only of what has no reason."""
+    table = Table(box=None, padding=(0, 1), pad_edge=False)
+    for column in ("shot", "try", "verdict"):
+        table.add_column(column, justify="left" if column == "verdict" else "right", no_wrap=True)
+    table.add_column("why, error p r y, or pose")
+    for attempt in list(one.attempts.values())[-most:]:
+        told = attempt.reason or attempt.error or attempt.pose
+        table.add_row(str(attempt.shot), str(attempt.number), _styled(attempt.verdict), _line(told))
+    return table
+
+
+_FLEET: Final = ("vehicle", "status", "state", "shots", "retakes", "left", "links", "battery", "reason")
+_FLEET_NARROW: Final = ("vehicle", "status", "state", "shots", "left", "reason")
+
+
+def fleet_view(vehicles: Mapping[str, Watched], *, columns: int = 0) -> Table:
+    """The view of a fleet: one line per vehicle.
+
+    Args:
+        vehicles: by id.
+        columns: of the terminal, 0 without one.
+    """
+    shown = _FLEET_NARROW if 0 < columns < _WIDE else _FLEET
+    table = Table(box=None, padding=(0, 1 if shown is _FLEET_NARROW else 2), pad_edge=False)
+    for column in shown:
+        table.add_column(column, no_wrap=shown is _FLEET_NARROW and column != "reason")
     for name, one in sorted(vehicles.items()):
         state = one.state
-        eta = state.get("eta_s")
-        table.add_row(
-            name,
-            _styled(one.status or "unknown"),
-            _styled(str(state.get("state", ""))),
-            f"{state.get('shots_done', 0)}/{state.get('shots_total', 0)}",
-            str(state.get("retakes", 0)),
-            "" if eta is None else minutes(eta),
-            _gone(state),
-            "-" if state.get("battery_frac") is None else f"{100 * state['battery_frac']:.0f} %",
-            Text(str(state.get("reason") or "")),
-        )
+        eta, gone = state.get("eta_s"), _gone(state)
+        reason = str(state.get("reason") or "")
+        cells: dict[str, RenderableType] = {
+            "vehicle": name,
+            "status": _styled(one.status or "unknown"),
+            "state": _styled(str(state.get("state", ""))),
+            "shots": f"{state.get('shots_done', 0)}/{state.get('shots_total', 0)}",
+            "retakes": str(state.get("retakes", 0)),
+            "left": "" if eta is None else minutes(eta),
+            "links": gone,
+            "battery": "-" if state.get("battery_frac") is None else f"{100 * state['battery_frac']:.0f} %",
+            "reason": Text(reason) if shown is _FLEET else _line(reason or ("" if gone == "ok" else gone)),
+        }
+        table.add_row(*(cells[column] for column in shown))
     return table
 
 

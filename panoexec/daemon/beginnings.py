@@ -21,10 +21,11 @@ StopVerb: TypeAlias = Literal["abort", "finish", "pause", "interrupt"]
 
 @dataclass(frozen=True, slots=True)
 class StopCommand:
-    """A command that stops a mission, and the reason given with it; `interrupt`: the process ends."""
+    """A command that stops a mission, the reason given with it and who sent it; `interrupt`: the process ends."""
 
     verb: StopVerb
     reason: str = ""
+    by: str = ""
 
 
 class Beginning:

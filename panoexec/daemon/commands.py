@@ -44,6 +44,7 @@ from panoexec.mqtt.requests import (
     StopRequest,
     ThumbnailsRequest,
 )
+from panoexec.mqtt.senders import sender_of
 from panoexec.mqtt.transaction_file import FORGOTTEN
 from panoexec.mqtt.transactions import Transactions
 from panoexec.planning.model import Plan
@@ -188,7 +189,7 @@ class Commands:
                 data = self._planned(plan, request)
             case ResumeRequest():
                 assert beginning is not None
-                data = await self._resume(incoming, beginning)
+                data = await self._resume(request, incoming, beginning)
             case MissionsRequest():
                 data = await self._list(request.newest)
             case PresetsRequest():
@@ -223,9 +224,9 @@ class Commands:
             raise CommandRefusedError(f"cannot {request.command}: no mission is under way")
         match request:
             case SkipRequest():
-                shot = mission.commands.skip(request.shot)
+                shot = mission.commands.skip(request.shot, by=sender_of(request.transaction))
             case RepeatRequest():
-                shot = mission.commands.repeat(request.shot)
+                shot = mission.commands.repeat(request.shot, by=sender_of(request.transaction))
         return {"shot": shot} | await self._journaled_state(mission)
 
     async def _journaled_state(self, mission: Mission) -> dict[str, Any]:
@@ -261,13 +262,13 @@ class Commands:
     def _planned(self, plan: Plan, request: PlanRequest) -> dict[str, Any]:
         return planned(plan, hover_s=60 * self._config().guards.hover_min, shots=request.shots)
 
-    async def _resume(self, incoming: Incoming, beginning: Beginning) -> dict[str, Any]:
+    async def _resume(self, request: ResumeRequest, incoming: Incoming, beginning: Beginning) -> dict[str, Any]:
         mission = await self._missions.under_way()
         await self._missions.look_again()
         incoming.check_fresh()
         if mission is not None:
             beginning.commit()
-            mission.commands.resume()
+            mission.commands.resume(by=sender_of(request.transaction))
             return await self._journaled_state(mission)
         async with self._missions.claimed(beginning):
             incoming.check_fresh()

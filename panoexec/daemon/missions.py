@@ -403,10 +403,10 @@ def _give(mission: Mission, command: StopCommand) -> None:
     commands = mission.commands
     match command.verb:
         case "abort":
-            commands.abort(command.reason)
+            commands.abort(command.reason, by=command.by)
         case "finish":
-            commands.finish(command.reason)
+            commands.finish(command.reason, by=command.by)
         case "pause":
-            commands.pause(command.reason)
+            commands.pause(command.reason, by=command.by)
         case "interrupt":
             commands.interrupt(command.reason)

@@ -154,6 +154,7 @@ class StatePublisher:
             state=state,
             mission_id=None if record is None else record.mission_id,
             name="" if record is None else self._missions.name,
+            reference=None if record is None else record.reference,
             shots_total=0 if record is None else record.shots_total,
             shots_done=0 if record is None else record.shots_done,
             attempts=0 if record is None else record.attempts,

@@ -19,6 +19,7 @@ from typing import Any, Final
 from panoexec.adapters.link.command_inbox import Result, StationCommand
 from panoexec.inputs.config import Config
 from panoexec.mqtt.incoming import Incoming, next_arrival
+from panoexec.mqtt.senders import MAVLINK, transaction_of
 
 REQUEST_NAMES: Final = {1: "start", 2: "pause", 3: "resume", 4: "abort", 5: "finish", 6: "skip", 7: "repeat"}
 _SLOW: Final = frozenset({"start", "resume"})
@@ -55,12 +56,12 @@ class StationRequests:
         verb, fields, wrong = self.request_of(command)
         if wrong:
             return False, self._refused(verb or "command", wrong)
-        return verb in _SLOW, self.submit(verb, fields)
+        return verb in _SLOW, self.submit(verb, fields, by=_station(command))
 
-    def submit(self, verb: str, fields: dict[str, Any]) -> Awaitable[Result]:
-        """Execute a request; its result. The pilot hears why it was refused."""
+    def submit(self, verb: str, fields: dict[str, Any], *, by: str) -> Awaitable[Result]:
+        """Execute a request of `by`; its result. The pilot hears why it was refused."""
         self._count += 1
-        transaction = f"mavlink-{self._boot_id}-{self._count}"
+        transaction = transaction_of(MAVLINK, by, f"{self._boot_id}-{self._count}")
         answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
 
         def reply(payload: bytes) -> None:
@@ -92,7 +93,6 @@ class StationRequests:
             return "", {}, f"param1 must be 1 to {max(REQUEST_NAMES)}"
         if detail is None:
             return verb, {}, "param2 must be a whole number, from 0"
-        sender = f"station {command.sender[0]}/{command.sender[1]}"
         if verb == "start":
             presets = list(self._config().presets)
             if detail > len(presets):
@@ -100,7 +100,7 @@ class StationRequests:
             return verb, {"preset": presets[detail - 1]} if detail else {}, ""
         if verb in {"skip", "repeat"}:
             return verb, {"shot": detail - 1} if detail else {}, ""
-        return verb, {} if verb == "resume" else {"reason": sender}, ""
+        return verb, {} if verb == "resume" else {"reason": _station(command)}, ""
 
     async def _refused(self, verb: str, why: str) -> Result:
         await self._say(f"Pano: {verb} refused: {why}")
@@ -114,6 +114,10 @@ class StationRequests:
         await self._say(f"Pano: {verb} refused: {error['message']}")
         code = error["code"]
         return Result.TEMPORARILY_REJECTED if code in _LATER else Result.FAILED if code in _BROKEN else Result.DENIED
+
+
+def _station(command: StationCommand) -> str:
+    return f"station {command.sender[0]}/{command.sender[1]}"
 
 
 def _whole(value: float) -> int | None:

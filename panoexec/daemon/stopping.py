@@ -30,6 +30,7 @@ from panoexec.mqtt.requests import (
     RefusedRequestError,
     StopRequest,
 )
+from panoexec.mqtt.senders import sender_of
 from panoexec.mqtt.transactions import Transactions
 
 DECLINED: Final = "declined mission"
@@ -239,11 +240,12 @@ def _id_of(mission: Mission) -> str:
 
 
 def _command(request: StopRequest) -> StopCommand:
+    by = sender_of(request.transaction)
     match request:
         case AbortRequest():
-            return StopCommand("abort", request.reason)
+            return StopCommand("abort", request.reason, by)
         case FinishRequest():
-            return StopCommand("finish", request.reason)
+            return StopCommand("finish", request.reason, by)
         case PauseRequest():
-            return StopCommand("pause", request.reason)
+            return StopCommand("pause", request.reason, by)
     raise AssertionError(request)

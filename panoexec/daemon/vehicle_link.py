@@ -129,7 +129,7 @@ class VehicleLink:
 
     def _submit(self, requests: StationRequests, verb: str, fields: dict[str, str]) -> None:
         _log.info("switch of the transmitter", request=verb)
-        task = asyncio.ensure_future(requests.submit(verb, fields))
+        task = asyncio.ensure_future(requests.submit(verb, fields, by="the transmitter"))
         self._submitted.add(task)
         task.add_done_callback(self._submitted.discard)
 

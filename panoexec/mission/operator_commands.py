@@ -18,7 +18,7 @@ class OperatorCommands:
 
     Every method raises `CommandRefusedError`, and changes nothing, when the mission's state does not allow it. The
     commands that stop a mission (`pause`, `finish`, `abort`, `interrupt`) are accepted before it runs, too: they are
-    kept and take effect before anything moves.
+    kept and take effect before anything moves. `by` says who sent the command, for the log.
     """
 
     def __init__(self, context: MissionContext) -> None:
@@ -34,28 +34,28 @@ class OperatorCommands:
                 command()
         self._kept.clear()
 
-    def pause(self, reason: str = "") -> None:
+    def pause(self, reason: str = "", *, by: str = "") -> None:
         """Pause after the current photo until `resume`."""
         if not self._runs:
-            self._kept.append(partial(self.pause, reason))
+            self._kept.append(partial(self.pause, reason, by=by))
             return
         self._check_running("pause")
         if "command" in self._context.requests.holds:
             raise CommandRefusedError("cannot pause: the mission is paused already")
         if self._context.record.state is MissionState.FINISHING:
             raise CommandRefusedError("cannot pause: shooting is over, the mission is finishing")
-        self._log("pause", reason=reason)
+        self._log("pause", reason=reason, by=by)
         self._context.requests.request_pause(reason)
 
-    def resume(self) -> None:
+    def resume(self, *, by: str = "") -> None:
         """Continue after a pause."""
         self._check_running("resume")
         if not self._context.requests.holds:
             raise CommandRefusedError("cannot resume: the mission is not paused")
         self._context.requests.resume()
-        self._log("resume")
+        self._log("resume", by=by)
 
-    def skip(self, shot: int | None = None) -> int:
+    def skip(self, shot: int | None = None, *, by: str = "") -> int:
         """Skip a shot, by default the current one. Returns its index."""
         self._check_running("skip")
         context = self._context
@@ -65,7 +65,7 @@ class OperatorCommands:
             raise CommandRefusedError(self._unknown_shot("skip", shot))
         if record.accepted is not None or record.status is ShotStatus.SKIPPED:
             raise CommandRefusedError(f"cannot skip shot {index}: it is {record.status} already")
-        self._log("skip", shot=index)
+        self._log("skip", shot=index, by=by)
         if record.open_attempt is not None:
             context.requests.request_skip(index, current=record.status is ShotStatus.ACTIVE)
         else:
@@ -74,7 +74,7 @@ class OperatorCommands:
             context.recorder.emit(ev.ShotSkipped(shot=index, attempt=attempt, reason="skipped by command"))
         return index
 
-    def repeat(self, shot: int | None = None) -> int:
+    def repeat(self, shot: int | None = None, *, by: str = "") -> int:
         """Take a shot again, by default the last accepted one. The earlier photo counts until a new one is accepted."""
         self._check_running("repeat")
         context = self._context
@@ -86,30 +86,30 @@ class OperatorCommands:
             raise CommandRefusedError(self._unknown_shot("repeat", shot))
         if record.open_attempt is not None or index in context.queue:
             raise CommandRefusedError(f"cannot repeat shot {index}: it is still in the queue")
-        self._log("repeat", shot=index)
+        self._log("repeat", shot=index, by=by)
         context.requests.skips.discard(index)
         context.queue.add(index)
         context.requests.changed.set()
         return index
 
-    def finish(self, reason: str = "") -> None:
+    def finish(self, reason: str = "", *, by: str = "") -> None:
         """End shooting and accept the gaps."""
         if not self._runs:
-            self._kept.append(partial(self.finish, reason))
+            self._kept.append(partial(self.finish, reason, by=by))
             return
         self._check_running("finish")
         if self._context.requests.must_end_shooting or self._context.record.state is MissionState.FINISHING:
             raise CommandRefusedError("cannot finish: the mission is finishing already")
-        self._log("finish", reason=reason)
+        self._log("finish", reason=reason, by=by)
         self._context.requests.request_finish(reason or "finished by command, the gaps are accepted")
 
-    def abort(self, reason: str = "") -> None:
+    def abort(self, reason: str = "", *, by: str = "") -> None:
         """End the mission."""
         if not self._runs:
-            self._kept.append(partial(self.abort, reason))
+            self._kept.append(partial(self.abort, reason, by=by))
             return
         self._check_running("abort")
-        self._log("abort", reason=reason)
+        self._log("abort", reason=reason, by=by)
         self._context.requests.request_stop(Stop("abort", reason or "aborted by command"))
 
     def interrupt(self, reason: str = "") -> None:
@@ -132,8 +132,8 @@ class OperatorCommands:
         if self._context.requests.stop is not None:
             raise CommandRefusedError(f"cannot {command}: the mission is ending ({self._context.requests.stop.reason})")
 
-    def _log(self, command: str, *, shot: int | None = None, reason: str = "") -> None:
-        self._context.recorder.emit(ev.CommandReceived(command=command, shot=shot, reason=reason))
+    def _log(self, command: str, *, shot: int | None = None, reason: str = "", by: str = "") -> None:
+        self._context.recorder.emit(ev.CommandReceived(command=command, shot=shot, reason=reason, by=by))
 
     def _unknown_shot(self, command: str, shot: int | None) -> str:
         if shot is None:

@@ -70,6 +70,7 @@ class State(Payload):
         state: state of the mission; `idle` without one.
         mission_id: id of the mission that the other fields describe; null without one.
         name: what people call it; empty for none.
+        reference: direction of the plan's yaw 0: `north`, or `heading` at the start; null without a mission.
         shots_total, shots_done, attempts, retakes: counts.
         shots: status of each shot in the order of the indices, with equal neighbours combined, for example
             `d12 r1 c1 t42`: d done, r done after a retake, c current, a to be retaken, m missing (given up or skipped),
@@ -89,6 +90,7 @@ class State(Payload):
     state: MissionState
     mission_id: str | None
     name: str
+    reference: str | None = None
     shots_total: int
     shots_done: int
     attempts: int

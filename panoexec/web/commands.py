@@ -11,14 +11,12 @@ from datetime import UTC, datetime
 from typing import Any, Final
 
 from panoexec.errors import LinkError
+from panoexec.mqtt.senders import WEB, sender_of
 from panoexec.web.audience import Browser, Browsers
 from panoexec.web.broker import BrokerLink, Response
 from panoexec.web.fleet import Fleet
 from panoexec.web.protocol import VIEWER_COMMANDS, Command, Stage, clean_name, encode
 from panoexec.web.values import table, text
-
-_MARK: Final = "panoexec-web"
-"""Begins the transaction of every request of a page, so that other servers on this broker know who commanded."""
 
 _WAIT_S: Final = {"plan": 320.0, "start": 320.0, "doctor": 120.0}
 _USUAL_WAIT_S: Final = 30.0
@@ -147,7 +145,7 @@ class Commands:
     # --- to vehicles
 
     async def _run(self, entry: Entry, *, response_topic: str) -> None:
-        transaction = f"{_MARK}/{entry.who}/{entry.id}"
+        transaction = f"{WEB}/{entry.who}/{entry.id}"
         wait_s = _WAIT_S.get(entry.command, _USUAL_WAIT_S)
         future: asyncio.Future[Response] = asyncio.get_running_loop().create_future()
         self._waiting[transaction] = future
@@ -230,17 +228,15 @@ class Commands:
     def _note_others(self, response: Response, transaction: str) -> None:
         if response.command in _SILENT or response.command in {"doctor", "unknown"} or not transaction:
             return
-        mark, _, rest = transaction.partition("/")
-        who, _, own = rest.rpartition("/")
-        ours = mark == _MARK and bool(who)
-        if ours and (late := self._entries.get(own)) is not None:
+        who, own = sender_of(transaction), transaction.rpartition("/")[2]
+        if transaction.startswith(f"{WEB}/") and who and (late := self._entries.get(own)) is not None:
             if late.stage == "failed" and late.vehicle == response.vehicle and late.command == response.command:
                 late.error = None  # it came after all
                 self._settle(late, response)
             return
         if any(entry.id == transaction for entry in self._logs.get(response.vehicle, ())):
             return
-        name = clean_name(who) if ours else "another ground station"
+        name = clean_name(who) if who else "another ground station"
         entry = Entry(id=transaction, who=name, vehicle=response.vehicle, command=response.command, fields={})
         self._settle(entry, response)
         entry.data = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
+from panoexec.mqtt.senders import received
 from panoexec.web.values import number, text, whole, wholes
 
 _CODES: Final = {
@@ -90,8 +91,8 @@ def _stored(event: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _command(event: Mapping[str, Any]) -> tuple[str, str]:
-    command, shot = text(event.get("command"), 20), whole(event.get("shot"))
-    return "info", f"Command {command}{f' shot {shot}' if shot is not None else ''}{_because(event)}"
+    told = text(received(event))
+    return "info", told[:1].upper() + told[1:]
 
 
 def _paused(event: Mapping[str, Any]) -> tuple[str, str]:

@@ -112,11 +112,19 @@ class PreflightFailed(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandReceived(Event):
-    """A command to the running mission was accepted."""
+    """A command to the running mission was accepted.
+
+    Attributes:
+        command: its name.
+        shot: the shot that it is about, if any.
+        reason: given with it.
+        by: who sent it, as the sender says; "" if unknown.
+    """
 
     command: str
     shot: Whole | None = None
     reason: str = ""
+    by: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -25,8 +25,8 @@ STATE: dict[str, Any] = {
 }
 
 
-def shown(view: RenderableType) -> str:
-    console = Console(width=120, record=True, file=open("/dev/null", "w", encoding="utf-8"))  # noqa: SIM115, PTH123
+def shown(view: RenderableType, width: int = 120) -> str:
+    console = Console(width=width, record=True, file=open("/dev/null", "w", encoding="utf-8"))  # noqa: SIM115, PTH123
     with console.file:
         console.print(view)
         return console.export_text()
@@ -83,14 +83,14 @@ def test_the_sphere_is_drawn_where_there_is_room() -> None:
     text = shown(mission_view("drone", one, room=(100, 50)))
     for mark in (Mark.DONE, Mark.RETAKEN, Mark.MISSING, Mark.AGAIN, Mark.CURRENT, Mark.PENDING):
         assert LEGEND[mark][1] in text
-    for room in ((40, 50), (100, 20)):
+    for room in ((39, 50), (100, 19)):
         assert LEGEND[Mark.DONE][1] * 3 not in shown(mission_view("drone", one, room=room))
     one.hear("event", event("shot_started", 90, shot=0, attempt=2))
     assert one.marks()[0] is Mark.CURRENT
     one.hear("event", event("shot_rejected", 91, shot=0, attempt=2))
     assert one.marks()[0] is Mark.DONE, "the earlier photo counts until a new one does"
     one.hear("plan", None)
-    assert one.sphere is None
+    assert LEGEND[Mark.DONE][1] * 3 not in shown(mission_view("drone", one, room=(100, 50)))
 
 
 def test_who_comes_late_sees_all_that_was_done_before() -> None:
@@ -147,3 +147,60 @@ def test_a_fleet_is_a_line_each() -> None:
     assert lines[0].split() == ["vehicle", "status", "state", "shots", "retakes", "left", "links", "battery", "reason"]
     assert lines[1].split() == ["a", "online", "capturing", "9/18", "2", "1:12", "no", "camera", "74", "%", "wind"]
     assert lines[2].split()[:2] == ["b", "offline"]
+
+
+def long_mission() -> Watched:
+    """Everything that can be long is long."""
+    one = Watched()
+    camera = camera_to_data(load_profile("dji-x5s-15mm").camera)
+    shots = [{"index": n, "row": 0, "pitch_deg": -20, "yaw_deg": 60 * n - 150} for n in range(6)]
+    one.hear("status", "online")
+    one.hear("plan", {"shots": shots, "camera": camera})
+    one.hear("state", STATE | {"reason": "the wind is too strong " * 9, "shots_total": 6, "shots": "d1 r1 m1 a1 c1 t1"})
+    for number in range(30):
+        fields = {"shot": number % 6, "attempt": number // 6 + 1}
+        one.hear("event", event("shot_started", 3 * number, pitch_deg=-29.5, yaw_deg=154.3, **fields))
+        errors = {"pitch_deg": -2.0, "roll_deg": 0.01, "yaw_deg": -0.5}
+        one.hear("event", event("shot_exposed", 3 * number + 1, errors=errors, **fields))
+        one.hear("event", event("shot_rejected", 3 * number + 2, reason="pitch off by -2.00°, and more " * 5, **fields))
+    one.hear("event", event("mission_paused", 99, reason="the sun is gone " * 20))
+    return one
+
+
+@pytest.mark.parametrize("columns", [50, 64, 80, 89, 90, 132])
+@pytest.mark.parametrize("lines", [12, 20, 24, 30, 50])
+def test_what_is_shown_fits_a_terminal(columns: int, lines: int) -> None:
+    one = long_mission()
+    view = mission_view("drone", one, room=(columns, lines), note="pause drone? y yes, any other key no")
+    told = shown(view, columns).rstrip("\n").splitlines()
+    assert len(told) <= lines
+    assert max(map(len, told)) <= columns
+    assert told[-1].startswith("pause drone? y yes")
+    text = "\n".join(told)
+    for part in ("drone", "online", "capturing", "9/6", "2 retakes", "1:12 left", "rejected", "pitch off", "the sun"):
+        assert part in text
+    assert ("+30" in text) is (lines >= 24), "the map"
+
+
+@pytest.mark.parametrize("reference", ["north", "heading", None])
+def test_azimuths_have_names_only_where_yaw_0_is_north(reference: str | None) -> None:
+    one = long_mission()
+    one.hear("state", STATE | {"reference": reference})
+    line = next(x for x in shown(mission_view("drone", one, room=(80, 24)), 80).splitlines() if "90" in x or " N " in x)
+    assert line.split() == (["S", "W", "N", "E", "S"] if reference == "north" else ["-180", "-90", "0°", "+90", "+180"])
+
+
+def test_a_fleet_fits_50_columns() -> None:
+    one = long_mission()
+    lines = shown(fleet_view({"kite": one, "drone": one}, columns=50), 50).splitlines()
+    assert len(lines) == 3
+    assert max(map(len, lines)) <= 50
+    assert lines[1].split()[:5] == ["drone", "online", "capturing", "9/6", "1:12"]
+
+
+def test_it_is_said_who_commanded() -> None:
+    one = Watched()
+    one.hear("event", event("command_received", 1, command="pause", by="anna@laptop", reason="rain"))
+    assert "pause received from anna@laptop: rain" in shown(mission_view("drone", one))
+    one.hear("event", event("command_received", 2, command="resume"))
+    assert "resume received\n" in shown(mission_view("drone", one)).replace(" \n", "\n").replace("  ", "")

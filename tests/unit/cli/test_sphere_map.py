@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from panoexec.cli.dry_run_view import MissionView
-from panoexec.cli.sphere_map import HEIGHT, LEGEND, WIDTH, Mark, SphereMap, marks_of
+from panoexec.cli.sphere_map import CAPTIONS, HEIGHT, LEGEND, MARGIN, WIDTH, Mark, SphereMap, marks_of, size_for
 from panoexec.devices import EvidenceLevel
 from panoexec.mission.executor import Mission
 from panoexec.mission.log import events as ev
@@ -83,8 +83,34 @@ def test_without_colours_the_characters_tell() -> None:
     shots = [a_shot(0, 0.0, 0.0), a_shot(1, 0.0, 90.0), a_shot(2, 0.0, -90.0)]
     plain = shown(SphereMap(CAMERA).text(shots, {0: Mark.DONE, 1: Mark.MISSING}, colours=False))
     lines = plain.splitlines()
-    assert len(lines) == HEIGHT + 1
+    assert len(lines) == HEIGHT + CAPTIONS
     assert {"█", "x", "·"} <= set("".join(lines[:HEIGHT]))
+
+
+@pytest.mark.parametrize("north", [True, False])
+@pytest.mark.parametrize("size", [(72, 18), (48, 12), (36, 9)])
+def test_azimuths_and_elevations_stand_where_they_are(size: tuple[int, int], north: bool) -> None:
+    width, height = size
+    shots = [a_shot(0, 30.0, 90.0)]
+    sphere = SphereMap(Camera.from_fov(2.0, 1.5), width=width, height=height)
+    lines = shown(sphere.text(shots, {0: Mark.MISSING}, colours=False, north=north)).splitlines()
+    beside = {line[: MARGIN - 1].strip(): number for number, line in enumerate(lines[:height]) if line[:MARGIN].strip()}
+    assert list(beside) == ["+60", "+30", "0°", "-30", "-60"]
+    # an elevation stands in the line that begins there; the image is on that edge, where a map of few lines rounds
+    (seen,) = (number for number, line in enumerate(lines[:height]) if "x" in line)
+    assert abs(seen - beside["+30"]) <= 1
+    azimuths = lines[height][MARGIN:]
+    assert azimuths.split() == (["S", "W", "N", "E", "S"] if north else ["-180", "-90", "0°", "+90", "+180"])
+    at = azimuths.index("E") if north else azimuths.index("+90") + 1
+    assert abs(lines[seen][MARGIN:].index("x") - at) <= 1
+
+
+@pytest.mark.parametrize(
+    ("columns", "lines", "size"),
+    [(120, 40, (72, 18)), (80, 24, (48, 12)), (75, 40, (48, 12)), (50, 24, (36, 9)), (39, 60, None), (80, 19, None)],
+)
+def test_the_map_is_as_large_as_there_is_room(columns: int, lines: int, size: tuple[int, int] | None) -> None:
+    assert size_for(columns, lines, beside=9) == size
 
 
 def test_the_marks_of_a_mission() -> None:
@@ -183,7 +209,7 @@ def test_a_terminal_shows_the_map_above_the_bar() -> None:
     assert "4/4" in text
 
 
-@pytest.mark.parametrize(("width", "height"), [(WIDTH - 1, 40), (100, 20)])
+@pytest.mark.parametrize(("width", "height"), [(39, 40), (100, 15)])
 def test_a_terminal_too_small_for_the_map_shows_the_bar_alone(width: int, height: int) -> None:
     out = a_terminal(width, height)
     _flown(out)

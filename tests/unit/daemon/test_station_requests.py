@@ -44,7 +44,7 @@ class Daemon:
 
 def request(incoming: Incoming) -> tuple[str, dict[str, Any]]:
     fields = json.loads(incoming.payload)
-    assert fields.pop("transaction").startswith("mavlink-b-")
+    assert fields.pop("transaction").startswith("mavlink/station 255/190/b-")
     return incoming.command, fields
 
 

@@ -189,7 +189,11 @@ async def test_no_command_waits_for_a_journal_that_has_failed(tmp_path: Path) ->
 
     record = SimpleNamespace(mission_id="m", state=MissionState.CAPTURING, asked=SimpleNamespace(end=None))
     commands = SimpleNamespace(
-        skip=lambda _: 3, repeat=lambda _: 3, resume=lambda: None, pause=lambda _: None, abort=lambda _: None
+        skip=lambda _, **by: 3,
+        repeat=lambda _, **by: 3,
+        resume=lambda **by: None,
+        pause=lambda _, **by: None,
+        abort=lambda _, **by: None,
     )
     async with a_desk(tmp_path) as desk:
         flying: Any = SimpleNamespace(record=record, commands=commands, durable=fails)
