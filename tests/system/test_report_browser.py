@@ -130,11 +130,32 @@ def test_keys_and_buttons(page: Browser) -> None:
     assert_sound(page)
 
 
+def test_the_keyboard_stays_on_the_button_that_goes_from_shot_to_shot(page: Browser) -> None:
+    page.value("document.querySelector('[data-step=next]').focus()")
+    shots = []
+    for _ in range(3):
+        page.value("document.activeElement.click()")
+        shots.append(page.value(SHOT))
+        assert page.value("document.activeElement.dataset.step") == "next"
+    assert len(set(shots)) == 3
+    page.value("document.querySelector('[data-step=let-go]').focus()")
+    page.value("document.activeElement.click()")
+    assert page.value("document.activeElement.dataset.step") == "previous", "let go is gone: the next best button"
+    page.value("document.querySelector('[data-choice=map]').focus()")
+    page.value("document.querySelector('[data-step=next]').click()")
+    assert page.value("document.activeElement.dataset.choice") == "map", "the focus is taken from nobody"
+    assert_sound(page)
+
+
 def test_the_viewer_starts_with_a_spot_for_each_photo(page: Browser) -> None:
     page.until("document.documentElement.dataset.viewer === 'loaded'")
     page.until("document.querySelectorAll('#viewer .pnlm-shot').length === 7")
     links = page.value("[...document.querySelectorAll('#viewer a[data-shot]')].map((a) => a.getAttribute('href'))")
     assert sorted(links) == [f"./images/IMG_{k:04d}.jpg" for k in range(7)]
+    sizes = page.value(
+        "[...document.querySelectorAll('#viewer .pnlm-shot')].map((s) => [s.offsetWidth, s.offsetHeight])"
+    )
+    assert min(min(size) for size in sizes) >= 24, "a finger meets them"
     assert_sound(page)
 
 

@@ -80,8 +80,8 @@ function photoLink(photo) {
 function stepButtons(shot) {
   const order = shots.map((s) => s.i), at = shot ? order.indexOf(shot.i) : -1;
   const go = (k) => choose(byIndex.get(order[(k + order.length) % order.length]), { pin: true, show: true });
-  const buttons = [el("button", { class: "plain", onclick: () => go(at < 0 ? -1 : at - 1) }, "← previous"), el("button", { class: "plain", onclick: () => go(at + 1) }, "next →")];
-  if (shot && chosen.pinned) buttons.push(el("button", { class: "plain", onclick: () => { chosen.pinned = false; choose(null); } }, "let go"));
+  const buttons = [el("button", { class: "plain", "data-step": "previous", onclick: () => go(at < 0 ? -1 : at - 1) }, "← previous"), el("button", { class: "plain", "data-step": "next", onclick: () => go(at + 1) }, "next →")];
+  if (shot && chosen.pinned) buttons.push(el("button", { class: "plain", "data-step": "let-go", onclick: () => { chosen.pinned = false; choose(null); } }, "let go"));
   return order.length ? buttons : [];
 }
 
@@ -138,7 +138,12 @@ function sphere() {
     );
   };
   refill();
-  chosen.listeners.push((shot) => details.replaceChildren(...shotCard(shot)));
+  chosen.listeners.push((shot) => {
+    // the button that was pressed is made anew: the keyboard stays on it
+    const step = details.contains(document.activeElement) ? document.activeElement.dataset.step : null;
+    details.replaceChildren(...shotCard(shot));
+    if (step) (details.querySelector(`[data-step="${step}"]`) || details.querySelector("[data-step]")).focus({ preventScroll: true });
+  });
   details.replaceChildren(...shotCard(null));
   return { usePicture: (image) => { map.usePicture(image); refill(); } };
 }
