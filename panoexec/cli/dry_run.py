@@ -15,12 +15,14 @@ from __future__ import annotations
 import argparse
 import asyncio
 import importlib.util
+import os
 import signal
 from collections.abc import Callable, Coroutine
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from panoexec.adapters.link.no_downloads import no_downloads
 from panoexec.cli.dry_run_view import MissionView, show_summary
 from panoexec.cli.output import note, print_json
 from panoexec.cli.planning_options import (
@@ -136,7 +138,7 @@ def run(args: argparse.Namespace) -> int:
         flight = lambda: run_dry_run(  # noqa: E731
             options, on_event=view.on_event, on_mission=view.on_mission, note=view.note
         )
-    with view:
+    with view, no_downloads(os.environ):  # a vehicle on a bench may have any camera
         summary = asyncio.run(_until_done(flight))
     if args.json:
         print_json(summary.to_json())
