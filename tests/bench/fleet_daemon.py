@@ -22,7 +22,9 @@ from panoexec.inputs.config import Config
 from panoexec.logs import configure_logs
 from panoexec.mqtt.messages import LinkFields, LinksFields
 from panoexec.store.session import Devices
-from tests.unit.fakes.devices import FakeCamera, FakeGimbal, FakeVehicle
+from tests.unit.fakes.camera import FakeCamera
+from tests.unit.fakes.gimbal import FakeGimbal
+from tests.unit.fakes.vehicle import FakeVehicle
 
 
 class StandIn(VehicleLink):

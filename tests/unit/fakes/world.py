@@ -15,7 +15,9 @@ from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.settings import GuardSettings, MissionSettings
 from panoexec.optics import Camera
 from panoexec.planning.model import Band, Certificate, Constraints, Plan, Shot, Tolerance
-from tests.unit.fakes.devices import FakeCamera, FakeGimbal, FakeVehicle
+from tests.unit.fakes.camera import FakeCamera
+from tests.unit.fakes.gimbal import FakeGimbal
+from tests.unit.fakes.vehicle import FakeVehicle
 from tests.unit.fakes.virtual import VirtualClock
 
 TOLERANCE = Tolerance(pitch_deg=0.1, roll_deg=0.1, yaw_deg=0.5)

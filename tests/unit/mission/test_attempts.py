@@ -10,8 +10,8 @@ import structlog
 from panoexec.devices import EvidenceLevel, YawFrame
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
+from tests.unit.fakes.camera import FakeCapture
 from tests.unit.fakes.checks import check_mission
-from tests.unit.fakes.devices import FakeCapture
 from tests.unit.fakes.flying import fly
 from tests.unit.fakes.virtual import run_virtual
 from tests.unit.fakes.world import World, a_world, some_settings

@@ -8,7 +8,7 @@ from panoexec.errors import DeviceError
 from panoexec.formats.photo_settings import PhotoExif
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
-from tests.unit.fakes.devices import FakeCamera
+from tests.unit.fakes.camera import FakeCamera
 from tests.unit.fakes.flying import fly
 from tests.unit.fakes.world import World
 

@@ -14,8 +14,8 @@ from panoexec.mission.dated_exposure import ShutterLag, has_window, is_before, i
 from panoexec.mission.executor import Mission
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
+from tests.unit.fakes.camera import FakeCamera, FakeCapture
 from tests.unit.fakes.checks import check_mission
-from tests.unit.fakes.devices import FakeCamera, FakeCapture
 from tests.unit.fakes.flying import fly, until_event
 from tests.unit.fakes.virtual import run_virtual
 from tests.unit.fakes.world import World, a_plan, a_world, some_settings

@@ -21,7 +21,7 @@ from panoexec.mission.settings import GuardSettings, MissionSettings
 from panoexec.planning.model import GimbalLimits, Shot, Turning
 from panoexec.planning.order.duration import turn_times_s
 from tests.unit.fakes.checks import check_mission
-from tests.unit.fakes.devices import FakeVehicle
+from tests.unit.fakes.vehicle import FakeVehicle
 from tests.unit.fakes.virtual import VirtualClock, run_virtual
 from tests.unit.fakes.world import TOLERANCE, World, a_plan, a_world, some_settings
 

@@ -26,7 +26,7 @@ from panoexec.mission.pointing.tolerance_gate import (
     SettleTracker,
     Target,
 )
-from tests.unit.fakes.devices import FakeFeed
+from tests.unit.fakes.gimbal import FakeFeed
 from tests.unit.fakes.virtual import VirtualClock
 from tests.unit.mission.pointing.readings import (
     NAN,

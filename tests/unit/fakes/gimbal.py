@@ -1,4 +1,4 @@
-"""Devices that obey the protocols of `panoexec.devices` and can misbehave in every way that hardware does."""
+"""A gimbal that obeys the protocol of `panoexec.devices` and can misbehave in every way that hardware does."""
 
 from __future__ import annotations
 
@@ -7,21 +7,15 @@ import math
 import random
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from panoexec.angles import wrap_180
 from panoexec.clock import Clock
 from panoexec.devices import (
     AttitudeSample,
-    CaptureEvidence,
-    EvidenceLevel,
     GimbalKnowledge,
     Quaternion,
-    RecalledPhoto,
-    RecalledPhotos,
-    Severity,
     VehicleAttitude,
-    VehicleStatus,
     YawFrame,
 )
 from panoexec.errors import DeviceError
@@ -31,7 +25,7 @@ Angles = tuple[float, float, float]
 """Yaw from north, pitch, roll."""
 
 
-def _eased(start: float, end: float, elapsed: float, rate: float, acceleration: float) -> float:
+def eased(start: float, end: float, elapsed: float, rate: float, acceleration: float) -> float:
     """Position on a trapezoid of speed from rest to rest."""
     distance, sign = abs(end - start), math.copysign(1.0, end - start)
     ramp = min(rate / acceleration, math.sqrt(distance / acceleration))
@@ -169,8 +163,8 @@ class FakeGimbal:
     def commanded(self, at_s: float) -> Angles:
         """Where the motors are at a time, without drift."""
         limits, elapsed = self._limits(), at_s - self._since
-        yaw = _eased(self._start[0], self._end[0], elapsed, limits.yaw_rate_deg_s, limits.yaw_acceleration_deg_s2)
-        pitch = _eased(self._start[1], self._end[1], elapsed, limits.pitch_rate_deg_s, limits.pitch_acceleration_deg_s2)
+        yaw = eased(self._start[0], self._end[0], elapsed, limits.yaw_rate_deg_s, limits.yaw_acceleration_deg_s2)
+        pitch = eased(self._start[1], self._end[1], elapsed, limits.pitch_rate_deg_s, limits.pitch_acceleration_deg_s2)
         if self.nose is not None and math.isfinite(at_s):
             nose = self.nose(at_s)
             if self._follows or not limits.pans:
@@ -273,217 +267,3 @@ class FakeGimbal:
             self._end = (self._start[0], pitch_deg, 0.0)
             return
         self._end = (self._start[0] + float(wrap_180(yaw_deg - self._start[0])), pitch_deg, 0.0)
-
-
-@dataclass
-class TakenPhoto:
-    """What the camera really did."""
-
-    index: int
-    triggered_s: float
-    exposed_s: float
-    ended_s: float
-
-
-@dataclass
-class FakeCapture:
-    camera: FakeCamera
-    commanded_s: float
-    acknowledged_s: float
-    index: int
-    level: EvidenceLevel
-    proof_s: float
-
-    async def evidence(self, at_least: EvidenceLevel, timeout_s: float) -> CaptureEvidence:
-        clock = self.camera.clock
-        proven = self.level >= at_least and self.proof_s <= self.commanded_s + timeout_s
-        until = self.proof_s if proven else self.commanded_s + timeout_s
-        if at_least > EvidenceLevel.ACKNOWLEDGED:
-            await clock.sleep(until - clock.monotonic())
-        if clock.monotonic() + 1e-9 < self.proof_s:
-            least = min(self.level, EvidenceLevel.ACKNOWLEDGED)
-            return CaptureEvidence(level=least, received_s=self.commanded_s)
-        has_file = self.level >= EvidenceLevel.CAPTURE_MESSAGE
-        return CaptureEvidence(
-            level=self.level,
-            received_s=self.proof_s,
-            image_index=self.index,
-            file_url=f"IMG_{self.index:04d}.jpg" if has_file else "",
-            time_utc_s=clock.time(),
-            exposed_s=self.camera.photos[self.index].exposed_s if self.camera.dates else math.nan,
-            exposed_error_s=0.02 if self.camera.dates else math.nan,
-            opened_s=self._opened_s(),
-            reported_s=self.proof_s if has_file else math.nan,
-            contradiction=self.camera.contradictions.get(self.index, ""),
-        )
-
-    def _opened_s(self) -> tuple[float, float]:
-        if math.isnan(self.camera.stamps_s):
-            return math.nan, math.nan
-        stamp_s = self.camera.photos[self.index].exposed_s + self.camera.stamps_s
-        return stamp_s - 0.004, stamp_s + 0.002
-
-
-@dataclass
-class FakeCamera:
-    """Takes photos in virtual time and keeps the truth about them."""
-
-    clock: Clock
-    latency_s: float = 0.05
-    exposure_s: float = 0.02
-    proof_after_s: float = 0.1
-    level: EvidenceLevel = EvidenceLevel.CAPTURE_MESSAGE
-    storage_free_images: float = math.inf
-    # faults
-    refusals: int = 0
-    lost_commands: int = 0
-    lost_proofs: int = 0
-    remembers: bool = False
-    """Whether it tells its photos again, with their times."""
-    counts: bool = False
-    """Whether it tells how many it has taken."""
-    memory_fails: int = 0
-    dates: bool = False
-    """Whether its reports tell when it exposed."""
-    contradictions: dict[int, str] = field(default_factory=dict)
-    """Why a photo may be another one, by index."""
-    stamps_s: float = math.nan
-    """How long after the opening of its shutter it stamps a photo, if round trips bound its stamps."""
-    # what happened
-    photos: list[TakenPhoto] = field(default_factory=list)
-
-    @property
-    def image_count(self) -> int:
-        return len(self.photos) if self.counts else -1
-
-    @property
-    def reports_photos(self) -> bool:
-        return self.dates
-
-    async def recall(self) -> RecalledPhotos:
-        await self.clock.sleep(0.02)
-        if self.memory_fails > 0:
-            self.memory_fails -= 1
-            raise DeviceError("the camera did not answer")
-        photos = [self._recalled(photo) for photo in self.photos[-4:]] if self.remembers else []
-        return RecalledPhotos(photos=tuple(photos), image_count=self.image_count)
-
-    def _recalled(self, photo: TakenPhoto) -> RecalledPhoto:
-        evidence = CaptureEvidence(
-            level=self.level,
-            received_s=self.clock.monotonic(),
-            image_index=photo.index,
-            file_url=f"IMG_{photo.index:04d}.jpg" if self.level >= EvidenceLevel.CAPTURE_MESSAGE else "",
-        )
-        ago_s = self.clock.monotonic() - photo.exposed_s
-        return RecalledPhoto(evidence=evidence, exposed_utc_s=self.clock.time() - ago_s)
-
-    async def trigger(self) -> FakeCapture:
-        commanded_s = self.clock.monotonic()
-        await self.clock.sleep(0.01)
-        if self.refusals > 0:
-            self.refusals -= 1
-            raise DeviceError("the camera refused to take a photo")
-        if self.storage_free_images < 1:
-            raise DeviceError("the camera's storage is full")
-        if self.lost_commands > 0:
-            self.lost_commands -= 1
-            await self.clock.sleep(2.0)
-            raise DeviceError("the camera did not answer")
-        self.storage_free_images -= 1
-        exposed_s = commanded_s + self.latency_s
-        photo = TakenPhoto(len(self.photos), commanded_s, exposed_s, exposed_s + self.exposure_s)
-        self.photos.append(photo)
-        level = self.level
-        if self.lost_proofs > 0:
-            self.lost_proofs -= 1
-            level = EvidenceLevel.ACKNOWLEDGED
-        answers = level > EvidenceLevel.COMMANDED
-        return FakeCapture(
-            camera=self,
-            commanded_s=commanded_s,
-            acknowledged_s=self.clock.monotonic() if answers else math.nan,
-            index=photo.index,
-            level=level,
-            proof_s=photo.ended_s + self.proof_after_s,
-        )
-
-
-@dataclass
-class FakeVehicle:
-    """A vehicle that hovers; its heartbeats come each full second."""
-
-    _status: VehicleStatus = field(
-        default_factory=lambda: VehicleStatus(
-            connected=True,
-            armed=True,
-            in_air=True,
-            mode="OFFBOARD",
-            heading_deg=30.0,
-            latitude_deg=47.0,
-            longitude_deg=8.0,
-            altitude_m=500.0,
-            relative_altitude_m=30.0,
-            battery_frac=0.9,
-            position_ok=True,
-        )
-    )
-    said: list[tuple[Severity, str]] = field(default_factory=list)
-    deaf: bool = False
-    silent: bool = False
-    """No more heartbeats."""
-    clock: Clock | None = None
-    turn_modes: tuple[str, ...] = ("OFFBOARD",)
-    offset_deg: Callable[[float], float] = lambda _: 0.0
-    """How far the nose stands beside the heading that it was told, at a time."""
-    refusals: int = 0
-    turn_rate_deg_s: float = 45.0
-    turn_acceleration_deg_s2: float = 90.0
-    # what happened
-    turns: list[tuple[float, float]] = field(default_factory=list)
-    _from_deg: float = math.nan
-    _to_deg: float = math.nan
-    _since: float = -math.inf
-
-    @property
-    def status(self) -> VehicleStatus:
-        if self.clock is not None and not self.silent:
-            self._status = replace(self._status, heartbeats=math.floor(self.clock.monotonic()))
-        return self._status
-
-    def heading(self, at_s: float) -> float:
-        """Where the nose points at a time, not wrapped."""
-        if math.isnan(self._to_deg):
-            return self.status.heading_deg
-        steady = _eased(
-            self._from_deg, self._to_deg, at_s - self._since, self.turn_rate_deg_s, self.turn_acceleration_deg_s2
-        )
-        return steady + self.offset_deg(at_s)
-
-    async def turn(self, heading_deg: float, rate_deg_s: float) -> None:
-        assert self.clock is not None
-        await self.clock.sleep(0.004)
-        if self.refusals > 0:
-            self.refusals -= 1
-            raise DeviceError("the vehicle refused to turn")
-        now = self.clock.monotonic()
-        self.turns.append((now, heading_deg))
-        if self.status.mode in self.turn_modes:
-            here = self.heading(now) - (0.0 if math.isnan(self._to_deg) else self.offset_deg(now))
-            self._from_deg, self._to_deg = here, here + float(wrap_180(heading_deg - here))
-            self._since = now
-
-    async def tell(self) -> None:
-        """Keep the status' heading up to date, ten times a second."""
-        assert self.clock is not None
-        while True:
-            self.change(heading_deg=self.heading(self.clock.monotonic()) % 360.0)
-            await self.clock.sleep(0.1)
-
-    async def say(self, text: str, severity: Severity = Severity.NOTICE) -> None:
-        if self.deaf:
-            await asyncio.Event().wait()
-        self.said.append((severity, text))
-
-    def change(self, **changes: object) -> None:
-        self._status = replace(self._status, **changes)  # type: ignore[arg-type]
