@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from panoexec.clock import Clock
@@ -108,7 +108,9 @@ class ExposureJudge:
         if not self._judge(near, min(start_s, dated[0]), max(end_s, dated[1]) + age_s).ok:
             return whole, set()
         open_ = await self.judge(shot, *opening)
-        return (open_, {dated}) if open_.ok else (whole, set())
+        if not open_.ok:
+            return whole, set()
+        return replace(open_, reason=f"{whole.reason} while the shutter was closed"), {dated}
 
     async def judge_date(
         self, shot: Shot, found: CaptureEvidence, commanded_s: float, exposure: Exposure

@@ -202,6 +202,7 @@ class MissionRecord:
                 if attempt.exposed is None:
                     raise ValueError(f"shot {event.shot}: attempt {event.attempt} accepted without an exposure")
                 attempt.verdict, attempt.by, attempt.photos = Verdict.ACCEPTED, event.by, event.photos
+                attempt.reason = attempt.exposed.reason if attempt.exposed.pointing_ok else ""
                 record.status, record.reason = ShotStatus.ACCEPTED, ""
                 self.last_accepted = event.shot
                 self._done.add(event.shot)

@@ -231,7 +231,7 @@ class WindowVerdict:
 
     Attributes:
         ok: the whole window is verified to be inside tolerance.
-        reason: why not, with figures; "" when ok.
+        reason: why not, with figures; of a verdict on a part of an exposure, what the rest was like; "" otherwise.
         code: `pointing` (out of tolerance) or `no_samples` (not verified); "" when ok.
         samples: number of samples judged.
         measured: mean attitude of the usable samples; None without one.

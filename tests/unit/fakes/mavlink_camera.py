@@ -234,8 +234,8 @@ class FakeLink:
                 camera.later(delay_s, lambda: camera.report(known[-1]))
         return 0
 
-    async def message(self, message_id: int, name: str, *, component: int = 1) -> MavMessage:
-        del message_id, component
+    async def message(self, message_id: int, name: str, *, component: int = 1, timeout_s: float = 2.0) -> MavMessage:
+        del message_id, component, timeout_s
         await self._reached()
         fields = self.camera.status()
         await self.clock.sleep(self.camera.rng.uniform(0.005, 0.04))

@@ -40,16 +40,23 @@ def gusts(
     gimbal.drift = drift
 
 
-def flown(prepare: Callable[[World], None]) -> list[ev.ShotRejected]:
-    """Rejections of a mission, whose accepted photos were all taken in tolerance by the fakes' truth."""
+def flown(prepare: Callable[[World], None]) -> World:
+    """A mission, whose accepted photos were all taken in tolerance by the fakes' truth."""
     settings = some_settings(latency_s=0.15, exposure_s=EXPOSURE_S)
     world = fly(prepare=prepare, plan=a_plan(8), settings=settings)
     assert world.record.state is MissionState.COMPLETE
-    return world.sink.of(ev.ShotRejected)
+    return world
 
 
-def test_a_gust_before_the_proven_opening_costs_no_photo() -> None:
-    assert flown(lambda w: gusts(w, pitch_deg=NEAR_DEG, span_s=BEFORE, stamps_s=0.0)) == []
+def test_a_gust_before_the_proven_opening_costs_no_photo_and_is_told() -> None:
+    world = flown(lambda w: gusts(w, pitch_deg=NEAR_DEG, span_s=BEFORE, stamps_s=0.0))
+    assert not world.sink.of(ev.ShotRejected)
+    reasons = [attempt.reason for shot in world.record.shots.values() for attempt in shot.attempts]
+    told = [reason for reason in reasons if reason]
+    assert len(told) == 8 - LEARNED
+    assert all(
+        reason.startswith("pitch off by +0.1") and reason.endswith("while the shutter was closed") for reason in told
+    )
 
 
 @pytest.mark.parametrize(
@@ -66,6 +73,7 @@ def test_a_gust_before_the_proven_opening_costs_no_photo() -> None:
 def test_otherwise_the_photo_is_taken_again(
     pitch_deg: float, span_s: tuple[float, float], stamps_s: float, irregular_s: float
 ) -> None:
-    rejected = flown(lambda w: gusts(w, pitch_deg=pitch_deg, span_s=span_s, stamps_s=stamps_s, irregular_s=irregular_s))
+    world = flown(lambda w: gusts(w, pitch_deg=pitch_deg, span_s=span_s, stamps_s=stamps_s, irregular_s=irregular_s))
+    rejected = world.sink.of(ev.ShotRejected)
     assert [event.code for event in rejected] == ["pointing"]
     assert "pitch off by +0.1" in rejected[0].reason
