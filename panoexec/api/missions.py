@@ -194,7 +194,7 @@ def _mission(document: Mapping[str, Any], folder: Path) -> Mission:
 
 
 def _camera(data: Mapping[str, Any]) -> Camera:
-    return Camera(**{field.name: data[field.name] for field in fields(Camera) if field.name in data})
+    return Camera.from_plain(data)
 
 
 def _certificate(data: Mapping[str, Any]) -> Certificate:

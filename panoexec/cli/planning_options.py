@@ -24,8 +24,8 @@ NOSE_TOLERANCE_DEG = 2.0
 """Of yaw, where the vehicle pans: what ArduCopter's SITL holds in 8 m/s of gusty wind (docs/mission.md)."""
 
 
-def add_camera_arguments(parser: argparse.ArgumentParser, *, required: bool) -> None:
-    """`--camera` and what can be changed of it."""
+def add_camera_arguments(parser: argparse.ArgumentParser, *, required: bool, lens: bool = True) -> None:
+    """`--camera` and what can be changed of it; `--lens` where the verb plans or proves."""
     group = parser.add_argument_group("camera")
     group.add_argument(
         "--camera",
@@ -35,6 +35,12 @@ def add_camera_arguments(parser: argparse.ArgumentParser, *, required: bool) -> 
     )
     group.add_argument("--orientation", choices=("landscape", "portrait"), help="mounting orientation")
     group.add_argument("--focal-length", type=positive, metavar="MM", help="focal length of a zoom lens (mm)")
+    if lens:
+        group.add_argument(
+            "--lens",
+            choices=("calibrated", "nominal"),
+            help="lens that is planned and proven for (calibrated, where the profile knows it)",
+        )
 
 
 def add_constraint_arguments(parser: argparse.ArgumentParser, *, of_file: bool = False) -> None:
@@ -154,6 +160,7 @@ def _timing(profile: CameraProfile | None) -> Timing:
 def _options_of(args: argparse.Namespace) -> PlanOptions:
     """What the options say; a verb without the gimbal's or the method's options says nothing of them."""
     return PlanOptions(
+        lens=getattr(args, "lens", None),
         overlap=args.overlap,
         overlap_h=args.overlap_h,
         overlap_v=args.overlap_v,

@@ -29,7 +29,7 @@ EXIT_INTERRUPTED = 130
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
-    add_camera_arguments(parser, required=False)
+    add_camera_arguments(parser, required=False, lens=False)
     add_simulation_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON document on stdout when ready")
 

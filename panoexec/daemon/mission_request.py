@@ -71,7 +71,10 @@ def spec_of(
     options = request.options()
     if request.camera is not None:
         options = replace(options, camera=profile.camera)
-    return options.over(configured_spec(config, profile, limits), file)
+    try:
+        return options.over(configured_spec(config, profile, limits), file)
+    except UsageError as error:
+        raise RefusedRequestError("invalid", str(error), field="lens") from error
 
 
 def settings_of(config: Config, spec: PlanSpec) -> MissionSettings:

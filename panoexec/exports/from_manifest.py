@@ -54,14 +54,13 @@ def camera_of(document: Mapping[str, Any]) -> Camera:
 
 
 def _camera(data: Mapping[str, Any], calibrated_mm: float | None) -> Camera:
-    return Camera(
-        name=str(data["name"]),
-        sensor_width_mm=float(data["sensor_width_mm"]),
-        sensor_height_mm=float(data["sensor_height_mm"]),
-        image_width_px=int(data["image_width_px"]),
-        image_height_px=int(data["image_height_px"]),
-        focal_length_mm=float(data["focal_length_mm"]),
-        calibrated_focal_length_mm=data.get("calibrated_focal_length_mm") or calibrated_mm,
+    known_mm = data.get("calibrated_focal_length_mm")
+    sizes = ("sensor_width_mm", "sensor_height_mm", "focal_length_mm")
+    return Camera.from_plain(
+        dict(data)
+        | {"name": str(data["name"]), "calibrated_focal_length_mm": known_mm or calibrated_mm}
+        | {key: float(data[key]) for key in sizes}
+        | {key: int(data[key]) for key in ("image_width_px", "image_height_px")}
     )
 
 

@@ -11,7 +11,7 @@ import difflib
 import importlib.resources
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeAlias
 
@@ -19,12 +19,16 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError,
 
 from panoexec.errors import InputFileError, UsageError
 from panoexec.inputs.config import Config
+from panoexec.inputs.lens_choice import with_lens
 from panoexec.inputs.validation import problem_lines, read_toml
+from panoexec.lens.distortion import Distortion
 from panoexec.optics import Camera
 
 Orientation: TypeAlias = Literal["landscape", "portrait"]
 Millimetres: TypeAlias = Annotated[FiniteFloat, Field(gt=0, le=10_000)]
 Pixels: TypeAlias = Annotated[int, Field(gt=0, le=1_000_000)]
+Coefficient: TypeAlias = Annotated[FiniteFloat, Field(ge=-100, le=100)]
+FovMargin: TypeAlias = Annotated[FiniteFloat, Field(ge=0, lt=0.5)]
 Seconds: TypeAlias = Annotated[FiniteFloat, Field(ge=0, le=600)]
 
 _ASPECT_AGREES = 0.03
@@ -53,6 +57,22 @@ class CameraProfile:
     zoom_range_mm: tuple[float, float] | None = None
 
 
+class DistortionModel(BaseModel):
+    """`distortion` of a profile: see `panoexec.lens.distortion`; what is left out is 0."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    k1: Coefficient = 0.0
+    k2: Coefficient = 0.0
+    k3: Coefficient = 0.0
+    p1: Coefficient = 0.0
+    p2: Coefficient = 0.0
+
+    def distortion(self) -> Distortion:
+        """The same as the camera has it."""
+        return Distortion(**self.model_dump())
+
+
 class _ProfileModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -64,6 +84,9 @@ class _ProfileModel(BaseModel):
     focal_length_mm: Millimetres | None = None
     zoom_range_mm: Annotated[list[Millimetres], Field(min_length=2, max_length=2)] | None = None
     calibrated_focal_length_mm: Millimetres | None = None
+    distortion: DistortionModel | None = None
+    principal_point_px: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)] | None = None
+    fov_margin: FovMargin = 0.0
     orientation: Orientation = "landscape"
     min_interval_s: Seconds = 1.0
     max_exposure_s: Annotated[Seconds, Field(gt=0)] = 0.02
@@ -115,15 +138,35 @@ class _ProfileModel(BaseModel):
             shortest = low
             if self.focal_length_mm is not None and not low <= self.focal_length_mm <= high:
                 problems.append(f"focal_length_mm is {self.focal_length_mm:g}: it must lie within {low:g} to {high:g}")
-            if self.calibrated_focal_length_mm is not None:
-                problems.append("calibrated_focal_length_mm is for fixed lenses only: remove it for a zoom lens")
-        camera = self.camera("", shortest)
-        if camera.hfov_deg > _LARGEST_FOV_DEG:
+            problems += [
+                f"{key} is for fixed lenses only: remove it for a zoom lens"
+                for key in ("calibrated_focal_length_mm", "distortion", "principal_point_px")
+                if getattr(self, key) is not None
+            ]
+        point, size = self.principal_point_px, (self.image_width_px, self.image_height_px)
+        if point is not None and not all(0 < at < extent for at, extent in zip(point, size, strict=True)):
             problems.append(
-                f"sensor_width_mm and focal length give a field of view of {camera.hfov_deg:.2f}°: "
+                f"principal_point_px is {point}: it must lie within the image, [0, 0] to [{size[0]}, {size[1]}]"
+            )
+        return problems or self._view_problems(self.camera("", shortest))
+
+    def _view_problems(self, camera: Camera) -> list[str]:
+        try:
+            fov = max(camera.hfov_deg, camera.pinhole_hfov_deg, camera.with_lens("nominal").hfov_deg)
+        except ValueError as error:
+            return [f"distortion: {error}"]
+        if fov > _LARGEST_FOV_DEG:
+            problem = (
+                f"sensor_width_mm and focal length give a field of view of {fov:.2f}°: "
                 f"the maximum for pinhole images is {_LARGEST_FOV_DEG:g}°"
             )
-        return problems
+            return [problem]
+        return []
+
+    def _point(self) -> tuple[float, float]:
+        assert self.principal_point_px is not None
+        across, down = self.principal_point_px
+        return across, down
 
     def camera(self, name: str, focal_length_mm: float) -> Camera:
         return Camera(
@@ -134,6 +177,9 @@ class _ProfileModel(BaseModel):
             image_height_px=self.image_height_px,
             focal_length_mm=focal_length_mm,
             calibrated_focal_length_mm=self.calibrated_focal_length_mm,
+            distortion=None if self.distortion is None else self.distortion.distortion(),
+            principal_point_px=None if self.principal_point_px is None else self._point(),
+            fov_margin=self.fov_margin,
         )
 
 
@@ -173,7 +219,8 @@ def configured_profile(config: Config) -> CameraProfile:
         UsageError: there is no such profile, or it does not fit.
     """
     section = config.camera
-    return load_profile(section.profile, orientation=section.orientation, focal_length_mm=section.focal_length_mm)
+    profile = load_profile(section.profile, orientation=section.orientation, focal_length_mm=section.focal_length_mm)
+    return replace(profile, camera=with_lens(profile.camera, section.lens))
 
 
 def profile_from_mapping(

@@ -150,6 +150,7 @@ class CameraSection(Section):
     profile: str = "dji-x5s-15mm"
     orientation: Literal["landscape", "portrait"] | None = None
     focal_length_mm: Positive | None = None
+    lens: Literal["calibrated", "nominal"] | None = None
     component: Annotated[int, Field(ge=0, le=255)] = 0
     trigger: Literal["mavlink", "serial", "gphoto2"] = "mavlink"
     port: str | None = None

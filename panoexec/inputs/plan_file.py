@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Self, TypeAlias
+from typing import Annotated, Any, Literal, Self, TypeAlias
 
 from pydantic import Field, Strict, ValidationError, field_validator, model_validator
 
@@ -51,6 +51,14 @@ Whole: TypeAlias = Annotated[int, Strict()]
 Positive: TypeAlias = Annotated[Finite, Field(gt=0)]
 
 
+class _DistortionModel(PlanFileModel):
+    k1: Finite = 0.0
+    k2: Finite = 0.0
+    k3: Finite = 0.0
+    p1: Finite = 0.0
+    p2: Finite = 0.0
+
+
 class _CameraModel(PlanFileModel):
     name: str = "camera"
     sensor_width_mm: Positive
@@ -59,20 +67,31 @@ class _CameraModel(PlanFileModel):
     image_height_px: Annotated[Whole, Field(gt=0, le=1_000_000)]
     focal_length_mm: Positive
     calibrated_focal_length_mm: Positive | None = None
+    distortion: _DistortionModel | None = None
+    principal_point_px: tuple[Positive, Positive] | None = None
+    fov_margin: Annotated[Finite, Field(ge=0, lt=0.5)] = 0.0
+    lens: Literal["calibrated", "nominal"] = "calibrated"
     hfov_deg: Finite | None = None
     vfov_deg: Finite | None = None
 
     @model_validator(mode="after")
     def _fov_agrees(self) -> Self:
         camera = self.camera()
-        for name in ("hfov_deg", "vfov_deg"):
-            stated, computed = getattr(self, name), getattr(camera, name)
+        try:
+            views = {"hfov_deg": camera.hfov_deg, "vfov_deg": camera.vfov_deg}
+        except ValueError as error:
+            raise ValueError(f"distortion: {error}") from error
+        if "lens" not in self.model_fields_set:  # of an earlier version, which computed them for the nominal lens
+            nominal = camera.with_lens("nominal")
+            views = {"hfov_deg": nominal.hfov_deg, "vfov_deg": nominal.vfov_deg}
+        for name, computed in views.items():
+            stated = getattr(self, name)
             if stated is not None and abs(stated - computed) > _FOV_AGREES_DEG:
-                raise ValueError(f"{name} is {stated:g}, but sensor and focal length give {computed:.2f}")
+                raise ValueError(f"{name} is {stated:g}, but sensor and lens give {computed:.2f}")
         return self
 
     def camera(self) -> Camera:
-        return Camera(**self.model_dump(exclude={"hfov_deg", "vfov_deg"}))
+        return Camera.from_plain(self.model_dump())
 
 
 class _ShotModel(PlanFileModel):
@@ -226,11 +245,18 @@ def camera_to_data(camera: Camera) -> dict[str, Any]:
         "image_width_px": camera.image_width_px,
         "image_height_px": camera.image_height_px,
         "focal_length_mm": camera.focal_length_mm,
+        "lens": camera.lens_used,
         "hfov_deg": round(camera.hfov_deg, 6),
         "vfov_deg": round(camera.vfov_deg, 6),
     }
     if camera.calibrated_focal_length_mm is not None:
         data["calibrated_focal_length_mm"] = camera.calibrated_focal_length_mm
+    if camera.distortion is not None:
+        data["distortion"] = asdict(camera.distortion)
+    if camera.principal_point_px is not None:
+        data["principal_point_px"] = list(camera.principal_point_px)
+    if camera.fov_margin:
+        data["fov_margin"] = camera.fov_margin
     return data
 
 

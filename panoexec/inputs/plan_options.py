@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator
 
+from panoexec.inputs.lens_choice import with_lens
 from panoexec.inputs.plan_spec import PlanSpec
-from panoexec.optics import Camera
+from panoexec.optics import Camera, Lens
 from panoexec.planning.model import (
     AngleBox,
     Band,
@@ -53,6 +54,7 @@ class PlanOptions:
 
     Attributes:
         camera: optics, as mounted.
+        lens: which lens of the camera counts; not said: that of the camera.
         overlap: least overlap of neighbours, fraction of the image area; for what the next two leave open.
         overlap_h: least overlap of neighbours in a row.
         overlap_v: least overlap of neighbouring rows.
@@ -71,6 +73,7 @@ class PlanOptions:
     """
 
     camera: Camera | None = None
+    lens: Lens | None = None
     overlap: float | None = None
     overlap_h: float | None = None
     overlap_v: float | None = None
@@ -93,8 +96,12 @@ class PlanOptions:
         Args:
             defaults: for what nobody says; its timing is taken as it is.
             file: a plan file, which becomes the given plan.
+
+        Raises:
+            UsageError: the calibrated lens is asked for, and nothing is known of it.
         """
         camera = _said(self.camera, _said(file.camera if file is not None else None, defaults.camera))
+        camera = with_lens(camera, self.lens)
         constraints = self._constraints_over(defaults.constraints, file.constraints if file is not None else None)
         return PlanSpec(
             camera=camera,

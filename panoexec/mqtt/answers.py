@@ -40,7 +40,13 @@ class CameraFields(Fields):
     focal_length_mm: Finite
     hfov_deg: Finite
     vfov_deg: Finite
+    lens: Literal["calibrated", "nominal"]
     calibrated_focal_length_mm: Annotated[Finite | None, WithJsonSchema({"type": "number"})] = None
+    distortion: Annotated[dict[str, Finite] | None, WithJsonSchema({"type": "object"})] = None
+    principal_point_px: Annotated[
+        tuple[Finite, Finite] | None, WithJsonSchema({"type": "array", "items": {"type": "number"}})
+    ] = None
+    fov_margin: Finite = 0.0
 
 
 class PlanFields(Fields):

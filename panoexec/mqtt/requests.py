@@ -122,6 +122,7 @@ class PlanRequest(Request):
 
     Attributes:
         camera: name of a profile, or a table with the keys of a profile.
+        lens: which lens of the camera counts; that of the configuration or the plan, else calibrated where it is known.
         overlap: overlap of neighbouring images, fraction of the image area; or `overlap_h` and `overlap_v`.
         elevation_deg: elevation range to cover, [min, max].
         azimuth_deg: azimuth range to cover, clockwise from min to max.
@@ -139,6 +140,7 @@ class PlanRequest(Request):
     acts: ClassVar[bool] = False
 
     camera: Annotated[Any, Field(json_schema_extra=_CAMERA_SCHEMA)] = None
+    lens: Literal["calibrated", "nominal"] | None = None
     overlap: Overlap | None = None
     overlap_h: Overlap | None = None
     overlap_v: Overlap | None = None
@@ -189,6 +191,7 @@ class PlanRequest(Request):
         """What it says of the panorama, but for the camera, whose profile is to be loaded."""
         tolerance = self.tolerance_deg or ToleranceFields()
         return PlanOptions(
+            lens=self.lens,
             overlap=self.overlap,
             overlap_h=self.overlap_h,
             overlap_v=self.overlap_v,

@@ -55,7 +55,7 @@ class _Session:
         from panoexec.pictures.model import PhotoToCheck  # noqa: PLC0415
 
         if "camera" in request:
-            self._examiner = self._kind(Camera(**request["camera"]))
+            self._examiner = self._kind(Camera.from_plain(request["camera"]))
         for shot in request.get("drop", ()):
             self._examiner.drop(shot)
         if planned := request.get("planned"):

@@ -40,6 +40,10 @@ def check_request(camera: Camera, constraints: Constraints) -> None:
 
 
 def _check_camera(camera: Camera) -> None:
+    try:
+        camera.image_area  # noqa: B018  (computed once)
+    except ValueError as error:
+        raise PlanningError(f"the lens of {camera.name}: {error}") from error
     for side, fov in (("horizontal", camera.hfov_deg), ("vertical", camera.vfov_deg)):
         if not _SMALLEST_FOV_DEG <= fov <= _LARGEST_FOV_DEG:
             raise PlanningError(

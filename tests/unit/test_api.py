@@ -149,7 +149,7 @@ def test_cameras_by_name_by_file_by_profile_and_as_such(tmp_path: Path) -> None:
     shutil.copy(ROOT / "panoexec" / "profiles" / "dji-x5s-15mm.toml", file)
     camera = panoexec.Camera(
         name="mine", sensor_width_mm=17.3, sensor_height_mm=13.0, image_width_px=5280, image_height_px=3956,
-        focal_length_mm=15.0,
+        focal_length_mm=15.0, calibrated_focal_length_mm=14.87,
     )  # fmt: skip
     portrait = panoexec.load_profile("dji-x5s-15mm", orientation="portrait")
     plans = [panoexec.plan(c, elevation_deg=(-20, 20), azimuth_deg=(0, 90)) for c in (file, str(file), camera)]

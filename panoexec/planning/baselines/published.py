@@ -3,6 +3,7 @@
 This is the only reading of the table whose sums agree with the stated totals. The paper's tilt is positive down, so
 pitch = -tilt. Images are evenly spaced in a row; the rows' phases are not published and are set to 0. "From tilt -30°"
 means that the sky above is not captured: each plan's band ends where its top row still covers all azimuths.
+The paper planned for the nominal focal lengths.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ X5S_15MM = Camera(
     image_height_px=3956,
     focal_length_mm=15.0,
     calibrated_focal_length_mm=14.87,
+    lens="nominal",
 )
 X5S_45MM = Camera(
     name="dji-x5s-45mm",
@@ -33,6 +35,7 @@ X5S_45MM = Camera(
     image_height_px=3956,
     focal_length_mm=45.0,
     calibrated_focal_length_mm=46.0,
+    lens="nominal",
 )
 A6000_35MM = Camera(
     name="sony-a6000-35mm",
@@ -42,6 +45,7 @@ A6000_35MM = Camera(
     image_height_px=4000,
     focal_length_mm=35.0,
     calibrated_focal_length_mm=35.0,
+    lens="nominal",
 )
 
 PAPER_TOLERANCE = Tolerance(pitch_deg=0.017, roll_deg=0.017, yaw_deg=0.667)

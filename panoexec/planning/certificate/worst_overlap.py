@@ -88,7 +88,7 @@ class ErrorCorners:
 
 def worst_pair_overlaps(corners: ErrorCorners, first: NDArray[np.intp], second: NDArray[np.intp]) -> FloatArray:
     """Lower bounds (p,), over all errors, of the fraction of each first image that the second one sees."""
-    whole = 4 * corners.camera.half_width * corners.camera.half_height
+    whole = corners.camera.image_area
     out = np.empty(len(first))
     for start in range(0, len(first), corners.pairs_at_a_time):
         some = slice(start, start + corners.pairs_at_a_time)
@@ -124,7 +124,7 @@ def _surely_share(
     along = (planes[..., 2:] * y - planes[..., 1:2] * z) / length[..., None]
     inside = (planes[..., :1] + planes[..., 1:2] * y + planes[..., 2:] * z) / length[..., None]
     lost = np.where(inside.min(axis=2) < strip, strip * (along.max(axis=2) - along.min(axis=2)), 0.0).sum(axis=1)
-    whole = 4 * corners.camera.half_width * corners.camera.half_height
+    whole = corners.camera.image_area
     return np.asarray(polygon_area(seen) - lost >= least * whole)  # false for an empty part, where `lost` is NaN
 
 
@@ -171,7 +171,7 @@ def _worst_unions(
     area = np.bincount(row, polygon_area(parts), len(images))
     loss = np.zeros((len(images), losses.shape[1]))
     np.add.at(loss, row, losses)
-    whole = 4 * corners.camera.half_width * corners.camera.half_height
+    whole = corners.camera.image_area
     return np.asarray(np.clip((area - loss.max(axis=1, initial=0.0)) / whole, 0.0, 1.0))
 
 

@@ -54,7 +54,7 @@ def pairwise_overlap(
         for start in range(0, len(planes), _AT_A_TIME)
     ]
     area = np.concatenate(areas) if areas else np.empty(0)
-    return np.minimum(area / _rectangle_area(camera_a), 1.0).reshape(shape)
+    return np.minimum(area / camera_a.image_area, 1.0).reshape(shape)
 
 
 def clip_footprint(
@@ -102,7 +102,8 @@ def union_overlap(
     planes = half_planes(r_a[:, None], rotations_b, camera_b or camera_a)
     pieces, owners = subtract(_rectangles(camera_a, len(r_a)), planes, present)
     missing = np.bincount(owners, polygon_area(pieces), len(r_a))
-    return np.clip(1.0 - missing / _rectangle_area(camera_a), 0.0, 1.0)
+    whole = 4 * camera_a.half_width * camera_a.half_height
+    return np.clip((whole - missing) / camera_a.image_area, 0.0, 1.0)
 
 
 def half_planes(rotations_a: ArrayLike, rotations_b: ArrayLike, camera_b: Camera) -> FloatArray:
@@ -231,7 +232,7 @@ def _overlap_of_one(camera: Camera, planes: list[list[float]]) -> float:
     for i in range(1, len(corners) - 1):
         (y1, z1), (y2, z2) = corners[i], corners[i + 1]
         twice += (y1 - y0) * (z2 - z0) - (y2 - y0) * (z1 - z0)
-    return min(1.0, abs(twice) / (8 * w * h))
+    return min(1.0, abs(twice) / (2 * camera.image_area))
 
 
 def _cut(polygons: FloatArray, distance: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
@@ -292,10 +293,6 @@ def _polygon_planes(polygon: FloatArray) -> FloatArray:
 
 def _rectangles(camera: Camera, n: int) -> FloatArray:
     return np.broadcast_to(rectangle(camera), (n, 4, 2))
-
-
-def _rectangle_area(camera: Camera) -> float:
-    return 4 * camera.half_width * camera.half_height
 
 
 def _stack(groups: Sequence[FloatArray]) -> FloatArray:

@@ -51,7 +51,7 @@ def seen_by_row(camera: Camera, pitch_deg: FloatArray, row_pitch_deg: FloatArray
         _seen(camera, pitch_deg[s], row_pitch_deg[s], yaws_deg[s])
         for s in (slice(i, i + step) for i in range(0, max(k, 1), step))
     ]
-    return np.clip(np.concatenate(parts) / (4 * camera.half_width * camera.half_height), 0.0, 1.0)
+    return np.clip(np.concatenate(parts) / camera.image_area, 0.0, 1.0)
 
 
 def seen_in_columns(
@@ -92,7 +92,7 @@ def _columns_seen(
     for j in range(lows.shape[1]):
         length += np.maximum(highs[:, j] - np.maximum(lows[:, j], reached), 0.0)
         reached = np.maximum(reached, highs[:, j])
-    return np.asarray(length @ weights / (4 * h))
+    return np.asarray(length @ weights * w / camera.image_area)
 
 
 @lru_cache(maxsize=8)

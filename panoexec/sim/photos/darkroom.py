@@ -193,7 +193,7 @@ def _work() -> None:
         _answer({"error": str(error)})
         return
     _answer({"ready": True})
-    camera = Camera(**setup["camera"])
+    camera = Camera.from_plain(setup["camera"])
     last = b""
     for line in sys.stdin:
         job = json.loads(line)

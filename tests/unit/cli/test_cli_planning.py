@@ -40,8 +40,8 @@ class TestPlan:
         assert run([*PLAN, *EXACT, "--distance", "290"]) == 1
         out = capsys.readouterr().out
         for part in (
-            "19 images of dji-x5s-15mm (59.94° × 46.86°, landscape)",
-            "-71.24",
+            "19 images of dji-x5s-15mm (60.37° × 47.22°, landscape)",
+            "-72.06",
             "NOT CERTIFIED",
             "C3:",
             "proven",
@@ -64,7 +64,7 @@ class TestPlan:
         assert constraints["tolerance_deg"] == {"pitch": 0.1, "roll": 0.1, "yaw": 0.4}
         assert constraints["guarantee"] == "all"
         assert constraints["masks"] == [{"elevation_deg": [-40, -30], "azimuth_deg": [180, 190]}]
-        assert document["camera"]["hfov_deg"] == pytest.approx(46.857, abs=0.001)
+        assert document["camera"]["hfov_deg"] == pytest.approx(47.222, abs=0.001)
 
     def test_hdrpano_is_the_published_grid(self, capsys: pytest.CaptureFixture[str]) -> None:
         run(["plan", "--camera", "dji-x5s-45mm", "--method", "hdrpano", "--columns", "21", "--rows", "10", "--json"])
@@ -107,11 +107,11 @@ class TestPlan:
     def test_fit_says_what_would_fit(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert run([*PLAN, "--max-images", "15", "--fit"]) == 2
         err = capsys.readouterr().err
-        assert "--elevation -90 12" in err
+        assert "--elevation -90 13" in err
         assert "would fit" in err
-        assert run([*PLAN, "--max-images", "15", "--elevation", "-90", "12"]) == 1
+        assert run([*PLAN, "--max-images", "15", "--elevation", "-90", "13"]) == 1
         capsys.readouterr()
-        assert run([*PLAN, "--max-images", "15", "--elevation", "-90", "13"]) == 2
+        assert run([*PLAN, "--max-images", "15", "--elevation", "-90", "14"]) == 2
 
 
 class TestVerify:

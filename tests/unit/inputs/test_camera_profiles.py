@@ -39,7 +39,7 @@ class TestShipped:
         ],
     )
     def test_the_papers_three(self, name: str, hfov: float, vfov: float, panorama_width: int) -> None:
-        camera = load_profile(name).camera
+        camera = load_profile(name).camera.with_lens("nominal")
         assert camera.hfov_deg == pytest.approx(hfov, abs=0.006)
         assert camera.vfov_deg == pytest.approx(vfov, abs=0.006)
         assert camera.panorama_px()[0] == pytest.approx(panorama_width, rel=0.005)

@@ -6,18 +6,23 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from panoexec.errors import UsageError
 from panoexec.inputs.camera_profiles import configured_profile, load_profile
 from panoexec.inputs.config import Config
 from panoexec.inputs.plan_file import PlanFile
 from panoexec.inputs.plan_options import PlanOptions, configured_gimbal, configured_spec, configured_timing
 from panoexec.inputs.plan_spec import PlanSpec
+from panoexec.optics import Camera, Lens
 from panoexec.planning.baselines.published import published_plan
 from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Timing, Tolerance, Turning
 
 CAMERAS = [load_profile(name).camera for name in ("dji-x5s-15mm", "dji-x5s-45mm", "sony-a6000-35mm")]
+
+PLAIN = Constraints(overlap_h=0.15, overlap_v=0.15, band=Band(elevation_min_deg=-90, elevation_max_deg=0))
 
 cameras = st.sampled_from(CAMERAS)
 fractions = st.floats(0, 0.9)
@@ -37,6 +42,7 @@ counts = st.integers(1, 30)
 
 VALUES: dict[str, st.SearchStrategy[Any]] = {
     "camera": cameras,
+    "lens": st.just("nominal"),
     "overlap": fractions,
     "overlap_h": fractions,
     "overlap_v": fractions,
@@ -95,7 +101,8 @@ files = st.builds(
 )
 
 READ: dict[str, Callable[[PlanSpec], object]] = {
-    "camera": lambda spec: spec.camera,
+    "camera": lambda spec: spec.camera.with_lens("calibrated"),
+    "lens": lambda spec: spec.camera.lens,
     "overlap_h": lambda spec: spec.constraints.overlap_h,
     "overlap_v": lambda spec: spec.constraints.overlap_v,
     "elevation_deg": lambda spec: (spec.constraints.band.elevation_min_deg, spec.constraints.band.elevation_max_deg),
@@ -128,7 +135,7 @@ def expected(name: str, asked: PlanOptions, defaults: PlanSpec, file: PlanFile |
         return said
     if file is not None and name == "camera" and file.camera is not None:
         return file.camera
-    of_constraints = name not in ("camera", "gimbal", "method", "order", "columns", "rows")
+    of_constraints = name not in ("camera", "lens", "gimbal", "method", "order", "columns", "rows")
     if file is not None and file.constraints is not None and of_constraints:
         return READ[name](replace(defaults, constraints=file.constraints))
     return READ[name](defaults)
@@ -237,3 +244,24 @@ def test_a_vehicle_that_pans_leaves_the_gimbal_no_pan_range() -> None:
 def test_auto_keeps_the_configured_pan_range() -> None:
     gimbal = configured_gimbal(config(gimbal={"yaw": "auto", "yaw_deg": [-160, 160]}))
     assert (gimbal.yaw_min_deg, gimbal.yaw_max_deg, gimbal.all_round) == (-160.0, 160.0, True)
+
+
+def test_the_calibrated_lens_is_refused_where_nothing_is_known_of_it() -> None:
+    defaults = PlanSpec(camera=Camera.from_fov(60, 45, name="unknown"), constraints=PLAIN)
+    with pytest.raises(UsageError, match="unknown has no calibrated lens: its profile has none of calibrated_focal"):
+        PlanOptions(lens="calibrated").over(defaults)
+
+
+def test_the_lens_applies_to_the_camera_of_a_plan_file_too() -> None:
+    plan = published_plan("scenario-2-proposed")
+    file = PlanFile(
+        source="plan.json", method="foreign", camera=plan.camera, constraints=plan.constraints, shots=plan.shots
+    )
+    defaults = PlanSpec(camera=Camera.from_fov(60, 45), constraints=PLAIN)
+    lenses: tuple[tuple[Lens, float], ...] = (("nominal", 45.0), ("calibrated", 46.0))
+    for lens, focal_mm in lenses:
+        spec = PlanOptions(lens=lens).over(defaults, file)
+        assert spec.given is not None
+        assert spec.given.camera.focal_length_used_mm == focal_mm
+        assert spec.camera == spec.given.camera
+    assert PlanOptions().over(defaults, file).camera == plan.camera

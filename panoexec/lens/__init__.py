@@ -1,0 +1,1 @@
+"""The one model of a lens: distortion of Brown and Conrady, and what of an image is certainly seen."""
