@@ -28,7 +28,8 @@ from panoexec.sim.physics.airframe import METRES_PER_DEG, Airframe
 from panoexec.sim.physics.world import Repeater, Timeline
 
 _STEP_S = 0.05
-_THERE_M = 0.3
+_THERE_M = {"ardupilot": 0.3, "px4": 2.0}
+"""How near a waypoint its hold time begins; PX4's is NAV_ACC_RAD, in which it has not come to rest yet."""
 _TURNS_FROM_M = 2.0
 _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 2, 3, 4, 5
 """MISSION_STATE."""
@@ -62,6 +63,7 @@ class AutoFlight:
     ) -> None:
         self.store = MissionItems(config, changed=self._changed)
         self._ardupilot = config.autopilot == "ardupilot"
+        self._there_m = _THERE_M[config.autopilot]
         self._config = config.airframe
         self._timeline = timeline
         self._airframe = airframe
@@ -115,7 +117,7 @@ class AutoFlight:
             return _ACCEPTED
         if command.params[0] != 0:
             return _DENIED
-        if not math.isnan(self._held_since_s) or self._airframe.to_go_m < _THERE_M:
+        if not math.isnan(self._held_since_s) or self._airframe.to_go_m < self._there_m:
             self._say("Failed to pause")
             return _FAILED
         self._paused = True
@@ -170,7 +172,7 @@ class AutoFlight:
         if item.command == NAV_RTL:
             return
         if math.isnan(self._held_since_s):
-            if self._airframe.to_go_m < _THERE_M:
+            if self._airframe.to_go_m < self._there_m:
                 self._held_since_s = self._timeline.now_s
             return
         hold_s = item.params[0] if item.command not in (NAV_TAKEOFF, NAV_LAND) else 0.0
