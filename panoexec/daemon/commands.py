@@ -13,7 +13,7 @@ import structlog
 from panoexec.daemon.beginnings import Beginning
 from panoexec.daemon.error_codes import refusal_of
 from panoexec.daemon.errors import MissionStorageError
-from panoexec.daemon.mission_request import chosen_profile, settings_of, spec_of
+from panoexec.daemon.mission_request import at_stop, chosen_profile, settings_of, spec_of
 from panoexec.daemon.missions import Missions
 from panoexec.daemon.planning_desk import PlanningDesk
 from panoexec.daemon.presets import presets_document, with_preset
@@ -135,6 +135,18 @@ class Commands:
             await self._transactions.remember(FORGOTTEN, None)
             self._forgot = False
 
+    async def plan_of_preset(self, preset: str) -> Plan:
+        """The plan of a preset, computed unless it is known.
+
+        Raises:
+            RefusedRequestError: there is no such preset, or it is wrong.
+            PanoexecError: it cannot be planned.
+        """
+        config = self._config()
+        request = with_preset(config, StartRequest.model_validate({"transaction": 0, "preset": preset}))
+        spec = spec_of(config, request, camera=self.camera, limits=self._vehicle.turn_limits)
+        return await self._plans.for_sender(spec, "stations")
+
     # --- one request
 
     def take(self, incoming: Incoming) -> None:
@@ -248,6 +260,8 @@ class Commands:
         request = with_preset(config, request)
         spec = spec_of(config, request, camera=self.camera, limits=self._vehicle.turn_limits)
         settings = settings_of(config, spec)
+        if incoming.stop is not None:
+            settings = at_stop(settings, incoming.stop)
         async with self._missions.claimed(beginning):
             devices = self._vehicle.ready_devices()
             try:
@@ -256,7 +270,9 @@ class Commands:
                 raise expired() from None
             incoming.check_fresh()
             reference = request.reference or config.mission.reference
-            mission_id = await self._missions.begin(plan, settings, devices, reference, name=request.name)
+            mission_id = await self._missions.begin(
+                plan, settings, devices, reference, name=request.name, stop=incoming.stop
+            )
         return {"mission_id": mission_id} | self._planned(plan, request)
 
     def _planned(self, plan: Plan, request: PlanRequest) -> dict[str, Any]:

@@ -25,11 +25,13 @@ from panoexec.daemon.missions import Missions
 from panoexec.daemon.sdnotify import SystemdNotifier
 from panoexec.daemon.state_publisher import TWIN, StatePublisher
 from panoexec.daemon.station_requests import StationRequests
+from panoexec.daemon.stations.watcher import Stations
 from panoexec.daemon.storage import StorageMonitor
 from panoexec.daemon.thumbnails import Thumbnails
 from panoexec.daemon.vehicle_link import VehicleLink
 from panoexec.daemon.watchdog import Watchdog
 from panoexec.inputs.config import Config
+from panoexec.mission.log.events import Event
 from panoexec.mqtt.discovery import discovery_messages
 from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.link import MqttLink
@@ -84,6 +86,7 @@ class Daemon:
         """
         self._boot_id = uuid.uuid4().hex
         self._notifier = notifier
+        self._clock = clock
         self._stopping = asyncio.Event()
         self._changed = asyncio.Event()
         self._config = LiveConfig(config, read=reload, notifier=notifier, status_line=self._status_line)
@@ -102,7 +105,8 @@ class Daemon:
             self._config, clock=clock, changed=self._changed.set, in_use=lambda: self.missions.busy, opened=opened
         )
         self._thumbnails = Thumbnails(config=self._config, mqtt=self.mqtt)
-        events = EventPublisher(mqtt=self.mqtt, changed=self._changed.set, beside=self._thumbnails.publish)
+        self._stations: Stations | None = None
+        events = EventPublisher(mqtt=self.mqtt, changed=self._changed.set, beside=self._beside)
         self._files = CameraFiles(self._config, self.vehicle)
         self.missions = Missions(
             config=self._config,
@@ -125,6 +129,7 @@ class Daemon:
             mqtt=self.mqtt,
             notifier=notifier,
             changed=self._changed,
+            tour=lambda: None if self._stations is None else self._stations.fields(),
         )
         pulses: dict[str, Callable[[], float]] = {
             "state": lambda: self._publisher.pulse_s,
@@ -180,6 +185,16 @@ class Daemon:
         resume = AutoResume(
             config=self._config, missions=self.missions, vehicle=self.vehicle, commands=self._commands, group=group
         )
+        self._stations = Stations(
+            config=self._config,
+            vehicle=self.vehicle,
+            missions=self.missions,
+            take=self._take,
+            plan_of=self._commands.plan_of_preset,
+            clock=self._clock,
+            changed=self._changed.set,
+            boot_id=self._boot_id,
+        )
         self._storage = StorageMonitor(
             section=lambda: self._config().storage,
             transactions=transactions,
@@ -196,6 +211,7 @@ class Daemon:
         group.create_task(self.missions.run(), name="missions")
         group.create_task(self._landed.run(), name="photos of landed missions")
         group.create_task(self._thumbnails.run(), name="thumbnails")
+        group.create_task(self._stations.run(), name="stations")
         group.create_task(self._publisher.run(), name="state")
         group.create_task(self._storage.run(), name="storage")
         group.create_task(self._watchdog.run(), name="watchdog")
@@ -236,6 +252,11 @@ class Daemon:
     def _take(self, incoming: Incoming) -> None:
         if self._commands is not None and not self._stopping.is_set():
             self._commands.take(incoming)
+
+    def _beside(self, event: Event) -> None:
+        self._thumbnails.publish(event)
+        if self._stations is not None:
+            self._stations.heard(event)
 
     def _check_alone(self, request: Request) -> None:
         """Refuse to begin a mission while another daemon gets the same requests, and would begin one too."""

@@ -17,6 +17,7 @@ from panoexec.inputs.plan_options import UNKNOWN_TURNS, configured_spec
 from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.mission.configured_guards import guard_settings
 from panoexec.mission.settings import MissionSettings
+from panoexec.mission.tour_stop import TourStop
 from panoexec.mqtt.credentials import credential_problems
 from panoexec.mqtt.requests import PlanRequest, RefusedRequestError
 from panoexec.planning.model import GimbalLimits, TurnLimits
@@ -102,6 +103,15 @@ def settings_of(config: Config, spec: PlanSpec) -> MissionSettings:
         guards=guard_settings(config.guards, config.gimbal),
         pictures=config.pictures.check,
     )
+
+
+def at_stop(settings: MissionSettings, stop: TourStop) -> MissionSettings:
+    """The settings for a panorama at a waypoint of the autopilot's mission: in any other mode the pilot has taken over.
+
+    The vehicle must be in the air and know its position, whatever the configuration says.
+    """
+    guards = replace(settings.guards, allowed_modes=stop.modes, position_hold=True)
+    return replace(settings, guards=guards)
 
 
 def configuration_problems(config: Config) -> list[str]:

@@ -24,6 +24,7 @@ from panoexec.mission.log.states import ENDED, MissionState
 from panoexec.mission.mission_requests import CommandRefusedError
 from panoexec.mission.protocols import PhotoFetcher
 from panoexec.mission.settings import MissionSettings
+from panoexec.mission.tour_stop import TOUR, TourStop
 from panoexec.planning.model import Plan
 from panoexec.report.mission_outputs import write_mission_outputs
 from panoexec.store.catalogue import catalogue
@@ -198,9 +199,18 @@ class Missions:
             raise
 
     async def begin(
-        self, plan: Plan, settings: MissionSettings, devices: Devices, reference: Reference, *, name: str = ""
+        self,
+        plan: Plan,
+        settings: MissionSettings,
+        devices: Devices,
+        reference: Reference,
+        *,
+        name: str = "",
+        stop: TourStop | None = None,
     ) -> str:
         """Create a new mission, which people call `name`, and start it; returns its id. Only while `claimed`.
+
+        At a `stop` of a tour it is flown in the stop's flight modes alone.
 
         Raises:
             MissionStorageError: it cannot be stored.
@@ -215,7 +225,8 @@ class Missions:
                 plan=plan,
                 settings=settings,
                 now_utc_s=self._clock.time(),
-                extra={REFERENCE: reference, VEHICLE: self._about_vehicle(), NAME: name},
+                extra={REFERENCE: reference, VEHICLE: self._about_vehicle(), NAME: name}
+                | ({} if stop is None else {TOUR: stop.to_json()}),
             )
         except PanoexecError as error:
             raise MissionStorageError(str(error)) from error

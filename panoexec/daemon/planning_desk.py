@@ -20,7 +20,7 @@ from panoexec.planning.model import Plan
 MAX_SENDERS: Final = 8
 """Senders whose requests for a plan may wait at the same time."""
 
-_KEPT_PLANS: Final = 4
+_KEPT_PLANS: Final = 8
 _CALM_S: Final = 0.05
 """A computation begins so long after it is needed, so that a flood of requests does not start a process for each."""
 

@@ -17,7 +17,7 @@ from panoexec.mission.live_pose import LivePose
 from panoexec.mission.log.shot_marks import ShotMarks
 from panoexec.mission.log.states import MissionState
 from panoexec.mqtt.link import MqttLink
-from panoexec.mqtt.messages import ErrorDegFields, PoseFields, State, dump, dump_json
+from panoexec.mqtt.messages import ErrorDegFields, PoseFields, State, TourFields, dump, dump_json
 from panoexec.planning.model import Plan
 
 FLYING: Final = frozenset({MissionState.PREFLIGHT, MissionState.CAPTURING, MissionState.PAUSED, MissionState.FINISHING})
@@ -47,6 +47,7 @@ class StatePublisher:
         mqtt: MqttLink | None,
         notifier: SystemdNotifier,
         changed: asyncio.Event,
+        tour: Callable[[], TourFields | None] = lambda: None,
     ) -> None:
         """Describe it.
 
@@ -59,6 +60,7 @@ class StatePublisher:
             mqtt: where to publish; None without a broker.
             notifier: gets the status line.
             changed: set by everything that changes the state.
+            tour: returns what is known of stations of the autopilot's mission.
         """
         self.pulse_s = time.monotonic()
         self._boot_id = boot_id
@@ -69,6 +71,7 @@ class StatePublisher:
         self._mqtt = mqtt
         self._notifier = notifier
         self._changed = changed
+        self._tour = tour
         self._seq = 0
         self._published_plan: Plan | None = None
         self._published_for = ""
@@ -169,6 +172,7 @@ class StatePublisher:
             pose=None if mission is None else _pose(mission.pose),
             battery_frac=battery if math.isfinite(battery) else None,
             battery_need_frac=round(need, 4) if math.isfinite(need) else None,
+            tour=self._tour(),
             boot_id=self._boot_id,
             seq=self._seq,
             time=datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z"),

@@ -12,6 +12,7 @@ from typing import Final
 
 import structlog
 
+from panoexec.adapters.autopilot_mission import MISSION_STREAM, AutopilotMission
 from panoexec.adapters.camera.camera_kind import OpenCamera
 from panoexec.adapters.camera.open_camera import open_camera
 from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
@@ -20,7 +21,7 @@ from panoexec.adapters.link.connection_url import ConnectionUrl
 from panoexec.adapters.link.first_heartbeats import OpenedConnection
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.serial_ports import connection_of
-from panoexec.adapters.link.stream_health import DEFAULT_STREAMS
+from panoexec.adapters.link.stream_health import DEFAULT_STREAMS, Stream
 from panoexec.adapters.linked_vehicle import LinkedVehicle, file_hosts, linked_vehicle
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.adapters.rc_switches import RC_STREAM, RcSwitches
@@ -56,6 +57,7 @@ class VehicleLink:
         reason: what is missing, "" if nothing is.
         pulse_s: time.monotonic of the task's last progress, for the watchdog.
         station_requests: executes the commands of MAVLink ground stations; None: nobody does.
+        autopilot_mission: what the autopilot flies; None without `[stations]`, and while the link is closed.
     """
 
     def __init__(
@@ -81,6 +83,7 @@ class VehicleLink:
         self.reason = "not connected yet"
         self.pulse_s = time.monotonic()
         self.station_requests: StationRequests | None = None
+        self.autopilot_mission: AutopilotMission | None = None
         self._newest = config
         self._in_use = in_use
         self._config = config()
@@ -220,7 +223,7 @@ class VehicleLink:
                     throttling=throttling,
                     opened=opened,
                     guarded=True,
-                    streams=(*DEFAULT_STREAMS, RC_STREAM) if self._channels else DEFAULT_STREAMS,
+                    streams=self._streams(),
                 )
             )
             link = linked.link
@@ -232,6 +235,8 @@ class VehicleLink:
                 serving = asyncio.create_task(inbox.run(), name="station commands")
                 stack.push_async_callback(_ended, serving)
                 stack.callback(RcSwitches(link, self._channels).close)
+            if self._config.stations.enabled:
+                self.autopilot_mission = await stack.enter_async_context(AutopilotMission(link))
             await self._find(link, self._gimbal)
             self._camera = await stack.enter_async_context(
                 open_camera(self._config.camera, link, spool=self._config.storage.path / "incoming")
@@ -247,6 +252,15 @@ class VehicleLink:
             while True:
                 self._look()
                 await asyncio.sleep(_LOOK_S)
+
+    def _streams(self) -> tuple[Stream, ...]:
+        rc = (RC_STREAM,) if self._channels else ()
+        return (*DEFAULT_STREAMS, *rc, *((MISSION_STREAM,) if self._config.stations.enabled else ()))
+
+    async def use_rates(self, *, active: bool) -> None:
+        """Request the rates of a mission, or the idle ones, if there is a link."""
+        if self._link is not None:
+            await self._link.use_rates(active=active)
 
     async def say(self, text: str) -> None:
         """Send text to the ground stations, if there is a link."""
@@ -305,7 +319,7 @@ class VehicleLink:
             self._changed()
 
     def _forget(self) -> None:
-        self._linked = None
+        self._linked = self.autopilot_mission = None
         self.devices = self._link = self._gimbal = self._camera = self._vehicle = None
 
 

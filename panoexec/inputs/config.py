@@ -102,6 +102,17 @@ class RcSection(Section):
         return self
 
 
+class StationsSection(Section):
+    """`[stations]`: panoramas at waypoints of the autopilot's own mission."""
+
+    enabled: bool = False
+    guided: bool = False
+    radius_m: Positive = 2.0
+    speed_m_s: Positive = 5.0
+    longest_s: Annotated[FiniteFloat, Field(ge=10, le=86_400)] = 900.0
+    visits: Annotated[int, Field(ge=1, le=100)] = 1
+
+
 class GimbalSection(Section):
     """`[gimbal]`: properties of the gimbal that it does not report itself."""
 
@@ -398,6 +409,7 @@ class Config(Section):
     storage: StorageSection = StorageSection()
     web: WebSection = WebSection()
     rc: RcSection = RcSection()
+    stations: StationsSection = StationsSection()
     log: LogSection = LogSection()
     presets: dict[str, dict[str, Any]] = {}
     """Requests with a name; `panoexec.daemon.presets` checks them by the model of the request."""

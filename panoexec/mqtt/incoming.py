@@ -17,6 +17,7 @@ from typing import Final
 
 import aiomqtt
 
+from panoexec.mission.tour_stop import TourStop
 from panoexec.mqtt.requests import MAX_PAYLOAD, MOVING, STOPPING, RefusedRequestError
 from panoexec.mqtt.topics import Topics
 
@@ -42,6 +43,7 @@ class Incoming:
         arrival: number of the message in the order of arrival, across connections.
         overtakes: commands that can set the vehicle in motion (`MOVING`), arrived earlier and still waiting.
         reply: takes the response of a request that did not come by MQTT.
+        stop: for a `start` from inside the daemon: the stop of a tour that the panorama is flown at.
     """
 
     command: str
@@ -55,6 +57,7 @@ class Incoming:
     arrival: int = 0
     overtakes: frozenset[str] = frozenset()
     reply: Callable[[bytes], None] | None = None
+    stop: TourStop | None = None
 
     @property
     def sender(self) -> str:

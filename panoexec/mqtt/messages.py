@@ -63,6 +63,26 @@ class PoseFields(Payload):
     error_deg: ErrorDegFields | None
 
 
+class TourFields(Payload):
+    """Stations of the autopilot's mission.
+
+    Attributes:
+        tour_id: of the flight with panoramas at them; null before the first.
+        stations: how many the mission has.
+        waypoint: number of the waypoint at which one is flown; null between them.
+        done: how many were complete.
+        skipped: how many were not, for whatever reason.
+        text: what goes on, for people.
+    """
+
+    tour_id: str | None
+    stations: int
+    waypoint: int | None
+    done: int
+    skipped: int
+    text: str
+
+
 class State(Payload):
     """The retained state of the daemon and its mission.
 
@@ -83,6 +103,7 @@ class State(Payload):
         pose: where the camera points now; null without a mission under way, or if it is not known.
         battery_frac: state of charge, 0 to 1; null if unknown.
         battery_need_frac: part of a full battery that the rest of the shooting needs; null if unknown.
+        tour: stations of the autopilot's mission; null without any.
         boot_id: id of the process; `seq` counts states within it.
         time: ISO 8601 UTC.
     """
@@ -105,6 +126,7 @@ class State(Payload):
     pose: PoseFields | None = None
     battery_frac: float | None
     battery_need_frac: float | None = None
+    tour: TourFields | None = None
     boot_id: str
     seq: int
     time: str

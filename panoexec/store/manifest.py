@@ -61,6 +61,7 @@ class ManifestWriter:
         record: the mission's record, read when the file is written.
         vehicle: data on the vehicle, as JSON.
         name: what people call the mission, "" for none.
+        tour: the stop of a tour that it is flown at, as JSON; None for none.
         clock: the mission's clock.
         certificate: returns the certificate of the measured attitudes; called when the file is written.
         every_s: least time between two writes while the mission runs.
@@ -79,6 +80,7 @@ class ManifestWriter:
         every_s: float = 2.0,
         battery: Callable[[], float] = lambda: math.nan,
         name: str = "",
+        tour: Mapping[str, Any] | None = None,
     ) -> None:
         self._path = path
         self._plan = plan
@@ -89,6 +91,7 @@ class ManifestWriter:
         self._every_s = every_s
         self._battery = battery
         self._name = name
+        self._tour = None if tour is None else dict(tour)
         self._charges = _earlier_charges(path)
         self._seams = SeamTable(plan.camera)
         self._dirty = asyncio.Event()
@@ -163,6 +166,7 @@ class ManifestWriter:
             "journal": {"events": self._events},
             "mission_id": record.mission_id,
             "name": self._name,
+            "tour": self._tour,
             "state": record.state.value,
             "reason": record.reason,
             "vehicle": dict(self._vehicle),

@@ -15,6 +15,7 @@ from panoexec.inputs.plan_file import plan_from_data
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.measured_certificate import certify_measured
+from panoexec.mission.tour_stop import stop_in
 from panoexec.planning.model import Certificate, Plan
 from panoexec.store.catalogue import glance
 from panoexec.store.directory import MissionDirectory
@@ -116,6 +117,7 @@ def derived_manifest(directory: MissionDirectory, contents: JournalContents) -> 
         record=record,
         vehicle=_vehicle(directory, extra),
         name=mission_name(extra),
+        tour=stop_in(extra),
         clock=SystemClock(),
         certificate=lambda: certificate,
     )

@@ -28,6 +28,7 @@ from panoexec.mission.measured_certificate import ThreadedVerifier
 from panoexec.mission.pilot_messages import PilotMessage, PilotMessenger
 from panoexec.mission.protocols import Journal, PhotoFetcher
 from panoexec.mission.settings import MissionSettings
+from panoexec.mission.tour_stop import stop_in
 from panoexec.mission.waiting import first_failure
 from panoexec.pictures.process import PictureProcess
 from panoexec.planning.model import Plan
@@ -248,6 +249,7 @@ class MissionSession:
                 certificate=lambda: mission.certificate,
                 battery=lambda: devices.vehicle.status.battery_frac,
                 name=str(stored.extra.get("name") or ""),
+                tour=stop_in(stored.extra),
             )
             messenger = PilotMessenger(vehicle=devices.vehicle, record=mission.record)
             folder = stored.directory.path

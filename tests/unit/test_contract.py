@@ -107,7 +107,14 @@ def test_the_mission_directory() -> None:
     shot = recorded["shots"][0]
     shot |= {"sha256": None, "bridge": None}
     shot["attempts"][0] |= {"seq": 0, "sha256": None}
-    keys = {*recorded, "gimbal", "name", "parallax", "time_contradictions"}  # which an earlier version did not write
+    keys = {
+        *recorded,
+        "gimbal",
+        "name",
+        "tour",
+        "parallax",
+        "time_contradictions",
+    }  # which an earlier version did not write
     assert {*between(text, f'(`"format": "{manifest.FORMAT}"`) has', "A shot has"), "format"} == keys
     assert set(between(text, "A shot has", "An attempt has")) == {*shot}
     assert set(between(text, "An attempt has", "What each value means")) == {*shot["attempts"][0]}

@@ -38,7 +38,8 @@ _EKF_OK = bitmask(
     for name in ("ATTITUDE", "VELOCITY_HORIZ", "VELOCITY_VERT", "POS_HORIZ_REL", "POS_HORIZ_ABS", "POS_VERT_ABS")
 )
 _CAPABILITIES = bitmask(
-    getattr(mavlink, f"MAV_PROTOCOL_CAPABILITY_{name}") for name in ("MAVLINK2", "PARAM_FLOAT", "COMMAND_INT")
+    getattr(mavlink, f"MAV_PROTOCOL_CAPABILITY_{name}")
+    for name in ("MAVLINK2", "PARAM_FLOAT", "COMMAND_INT", "MISSION_INT")
 )
 _CELLS = 4
 _CURRENT_CA = 1800

@@ -1,0 +1,1 @@
+"""Panoramas at waypoints of the autopilot's own mission (docs/stations.md)."""

@@ -1,0 +1,128 @@
+"""Panoramas at waypoints of the autopilot's own mission, by the living daemon on the embedded vehicle."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from panoexec.dryrun.firmware import free_udp_ports
+from panoexec.sim.config import AirframeConfig, AutopilotKind, SimConfig
+from panoexec.sim.process import running_simulator
+from tests.system.daemon import Ground, ground_station, ready, serving
+from tests.system.mission_pilot import Pilot
+from tests.wire.broker import Broker, needs_mosquitto, running_broker
+from tests.wire.mission_conversation import DIGICAM, LATITUDE, LONGITUDE, TAKEOFF, WAYPOINT, item, offset
+
+pytestmark = needs_mosquitto
+
+SPEEDUP = 6.0
+HEIGHT_M = 20.0
+HOLD_S = 30.0
+CONFIG = """[presets.small]
+elevation_deg = [-10, 15]
+azimuth_deg = [-30, 30]
+method = "paper"
+[presets.other]
+name = "The other side"
+elevation_deg = [-10, 15]
+azimuth_deg = [150, 210]
+method = "paper"
+[stations]
+enabled = true
+"""
+
+
+def two_stations(
+    *more: Any, presets: tuple[int, int] = (1, 2), kind: str = "ardupilot", hold_s: float = HOLD_S
+) -> list[Any]:
+    """A mission with two stations; they are waypoints 2 and 4 of ArduPilot, 1 and 3 of PX4."""
+    home = [item(0, WAYPOINT, at=offset(0, 0))] if kind == "ardupilot" else []
+    n = len(home)
+    return [
+        *home,
+        item(n, TAKEOFF, at=offset(0, 0), z=HEIGHT_M),
+        item(n + 1, WAYPOINT, hold_s, at=offset(12, 0), z=HEIGHT_M),
+        item(n + 2, DIGICAM, at=(0, presets[0])),
+        item(n + 3, WAYPOINT, hold_s, at=offset(24, 0), z=HEIGHT_M),
+        item(n + 4, DIGICAM, at=(0, presets[1])),
+        item(n + 5, WAYPOINT, at=offset(24, 12), z=HEIGHT_M),
+        *more,
+    ]
+
+
+@dataclass(kw_only=True)
+class Flight:
+    """A daemon, its vehicle, its pilot and its ground station."""
+
+    folder: Path
+    broker: Broker
+    ports: tuple[int, int]
+    pilot: Pilot
+    ground: Ground
+    more: str
+
+    @asynccontextmanager
+    async def daemon(self) -> AsyncIterator[asyncio.subprocess.Process]:
+        async with serving(self.folder, self.broker, self.ports[1], more=self.more, speedup=SPEEDUP) as process:
+            await ready(self.ground)
+            yield process
+
+    @property
+    def tour(self) -> dict[str, Any]:
+        """The newest tour's file."""
+        paths = sorted((self.folder / "data" / "tours").glob("*.json"))
+        return dict(json.loads(paths[-1].read_text())) if paths else {"stops": []}
+
+    @property
+    def outcomes(self) -> list[tuple[int, str]]:
+        return [(stop["waypoint"], stop["outcome"]) for stop in self.tour["stops"]]
+
+    def manifests(self) -> list[dict[str, Any]]:
+        paths = sorted((self.folder / "data" / "missions").glob("*/manifest.json"))
+        return [json.loads(path.read_text()) for path in paths]
+
+
+@asynccontextmanager
+async def flight(
+    folder: Path, items: list[Any], *, more: str = "", autopilot: AutopilotKind = "ardupilot", **airframe: Any
+) -> AsyncIterator[Flight]:
+    near, far = free_udp_ports(2)
+    config = SimConfig(
+        port=near,
+        speedup=SPEEDUP,
+        autopilot=autopilot,
+        output=None,
+        airframe=AirframeConfig(latitude_deg=LATITUDE, longitude_deg=LONGITUDE, height_m=HEIGHT_M, **airframe),
+    )
+    with running_broker(folder) as broker, contextlib.closing(Pilot(near, far, autopilot)) as pilot:
+        async with running_simulator(config), ground_station(broker) as ground:
+            await pilot.upload(items)
+            yield Flight(
+                folder=folder, broker=broker, ports=(near, far), pilot=pilot, ground=ground, more=CONFIG + more
+            )
+
+
+async def test_each_station_gets_its_panorama_and_the_mission_goes_on(tmp_path: Path) -> None:
+    async with flight(tmp_path, two_stations()) as flown, flown.daemon():
+        await flown.pilot.until(lambda: "Pano: 2 stations in this mission" in flown.pilot.said.texts)
+        await flown.pilot.mode("auto")
+        await flown.ground.until(lambda: flown.pilot.said.current[-1:] == [6])
+        await flown.ground.until(lambda: (flown.ground.state["tour"] or {}).get("done") == 2)
+        assert flown.outcomes == [(2, "complete"), (4, "complete")]
+        tour = flown.tour
+        manifests = flown.manifests()
+        assert [one["state"] for one in manifests] == ["complete", "complete"]
+        assert [one["name"] for one in manifests] == ["", "The other side"]
+        assert [one["tour"] for one in manifests] == [
+            {"tour_id": tour["tour_id"], "number": number, "waypoint": waypoint}
+            for number, waypoint in ((1, 2), (2, 4))
+        ]
+        assert flown.ground.misfits == []
+        # the markers were run, and nothing of the mission was skipped
+        assert flown.pilot.said.current[-3:] == [2, 4, 6]
