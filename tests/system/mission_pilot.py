@@ -11,7 +11,8 @@ from typing import Any
 
 from panoexec.sim.mavlink.dialect import mavlink
 from tests.waiting import eventually
-from tests.wire.mission_conversation import ARM, MODES, SET_MODE, TAKEOFF, command
+from tests.wire.mission_conversation import ARM, MODES, SET_MODE, TAKEOFF
+from tests.wire.sim_peer import command
 
 _AUTOPILOT = 1
 
@@ -89,7 +90,8 @@ class Pilot:
         self._uploaded = asyncio.get_running_loop().create_future()
         self.send(mavlink.MAVLink_mission_count_message(1, 1, len(items), 0))
         async with asyncio.timeout(30):
-            assert await self._uploaded == 0
+            answer = await self._uploaded
+        assert answer == 0, f"MAV_MISSION_RESULT {answer}"
 
     async def mode(self, name: str) -> None:
         """Change the flight mode, and see it."""
