@@ -14,7 +14,10 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Literal, TypeAlias
 
-from panoexec.lens.distortion import Distortion
+import numpy as np
+from numpy.typing import ArrayLike
+
+from panoexec.lens.distortion import Distortion, FloatArray
 from panoexec.lens.frame import Frame, Sides, frame_of
 
 Lens: TypeAlias = Literal["calibrated", "nominal"]
@@ -120,6 +123,38 @@ class Camera:
         left, top = 2 * across / self.image_width_px, 2 * down / self.image_height_px
         w, h = self.pinhole_half_width, self.pinhole_half_height
         return Sides(left=left * w, right=(2 - left) * w, top=top * h, bottom=(2 - top) * h)
+
+    def places(self, across: FloatArray, down: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Where in the image the lens that counts shows points of the ideal image plane at distance 1.
+
+        Args:
+            across: to the right; any shape, any floating type.
+            down: likewise.
+
+        Returns:
+            Each in [-1, 1] within the image, from left to right and from top to bottom; of the same type.
+        """
+        lens, sides = self.distortion_used, self.sides
+        if lens is not None:
+            # beyond where a lens turns back nothing is seen
+            near = across * across + down * down < lens.radius_for(sides.corner) ** 2
+            distorted = lens.apply(np.stack([np.where(near, across, 0.0), np.where(near, down, 0.0)], axis=-1))
+            far = np.where(near, 1.0, np.inf)
+            across, down = (
+                np.asarray(np.where(near, distorted[..., axis], far), dtype=across.dtype) for axis in range(2)
+            )
+        wide, high = (sides.left + sides.right) / 2, (sides.top + sides.bottom) / 2
+        return (across - (sides.right - wide)) / wide, (down - (sides.bottom - high)) / high
+
+    def rays(self, across: ArrayLike, down: ArrayLike) -> FloatArray:
+        """Points (..., 2) of the ideal image plane that are shown at places of the image; inverse of `places`."""
+        sides = self.sides
+        wide, high = (sides.left + sides.right) / 2, (sides.top + sides.bottom) / 2
+        y = np.asarray(across, dtype=np.float64) * wide + (sides.right - wide)
+        z = np.asarray(down, dtype=np.float64) * high + (sides.bottom - high)
+        distorted = np.stack(np.broadcast_arrays(y, z), axis=-1)
+        lens = self.distortion_used
+        return distorted if lens is None else lens.undo(distorted)
 
     @cached_property
     def _frame(self) -> Frame:

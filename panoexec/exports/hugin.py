@@ -45,7 +45,7 @@ def hugin_project(exports: ExportSet) -> PtoProject:
     return PtoProject(
         images=images,
         # across the stored width, which is the upright image's height if the pixels are rotated
-        hfov_deg=camera.vfov_deg if turned else camera.hfov_deg,
+        hfov_deg=camera.pinhole_vfov_deg if turned else camera.pinhole_hfov_deg,
         canvas_px=canvas_px(exports),
     )
 

@@ -10,6 +10,7 @@ from typing import Any
 from urllib.parse import quote
 
 from panoexec import __version__
+from panoexec.exports.from_manifest import camera_of
 from panoexec.planning.model import Band
 from panoexec.report.source import PhotoFile, Source, absence
 from panoexec.report.timeline import AttemptTimes, Timeline, timeline
@@ -33,6 +34,7 @@ def page_data(source: Source, *, made_utc_s: float) -> dict[str, Any]:
     by_attempt = {(item.shot, item.number): item for item in times.attempts}
     shots = [_shot(shot, source, by_attempt) for shot in manifest["shots"]]
     camera = manifest["camera"]
+    optics = camera_of(manifest)
     tolerance = manifest.get("tolerance_deg") or _planned_tolerance(source)
     return {
         "format": FORMAT,
@@ -51,8 +53,8 @@ def page_data(source: Source, *, made_utc_s: float) -> dict[str, Any]:
         },
         "camera": {
             "name": str(camera["name"]),
-            "half_width": _round(float(camera["sensor_width_mm"]) / (2 * float(camera["focal_length_mm"])), 7),
-            "half_height": _round(float(camera["sensor_height_mm"]) / (2 * float(camera["focal_length_mm"])), 7),
+            "half_width": _round(optics.half_width, 7),
+            "half_height": _round(optics.half_height, 7),
             "hfov_deg": _round(float(camera.get("hfov_deg") or math.nan), 2),
             "vfov_deg": _round(float(camera.get("vfov_deg") or math.nan), 2),
             "image_px": [int(camera["image_width_px"]), int(camera["image_height_px"])],

@@ -17,7 +17,8 @@ import numpy as np
 
 from panoexec.angles import FloatArray, rotation_from_quaternion
 from panoexec.errors import to_install
-from panoexec.exports.from_manifest import export_set
+from panoexec.exports.from_manifest import camera_of, export_set
+from panoexec.optics import Camera
 from panoexec.report.source import Source
 
 QUICK_WIDTH_PX: Final = 2048
@@ -97,7 +98,7 @@ def _quick_look(source: Source, max_cpu_s: float) -> tuple[Panorama | None, str]
     shots = [shot for shot in _poses(source) if not source.photos[shot[0]].problem]
     if not shots:
         return None, "there are no usable photos"
-    canvas = _Canvas(source.manifest["camera"], QUICK_WIDTH_PX)
+    canvas = _Canvas(camera_of(source.manifest), QUICK_WIDTH_PX)
     turns = {shot.index: shot.orientation for shot in export_set(source.manifest, source.folder).shots}
     left_out: list[str] = []
     # CPU time of this thread only, so that other load does not matter
@@ -130,9 +131,11 @@ def _poses(source: Source) -> list[tuple[int, FloatArray]]:
 class _Canvas:
     """Blends photos on an equirectangular canvas; a pixel's weight falls towards the photo's border."""
 
-    def __init__(self, camera: dict[str, Any], width_px: int) -> None:
-        self._half_width = float(camera["sensor_width_mm"]) / (2 * float(camera["focal_length_mm"]))
-        self._half_height = float(camera["sensor_height_mm"]) / (2 * float(camera["focal_length_mm"]))
+    def __init__(self, camera: Camera, width_px: int) -> None:
+        self._camera = camera
+        # where it looks at most: barrel distortion shows more than the sensor and the focal length alone tell
+        self._half_width = 1.2 * camera.pinhole_half_width
+        self._half_height = 1.2 * camera.pinhole_half_height
         self._width, self._height = width_px, width_px // 2
         self._sum = np.zeros((self._height, self._width, 3), dtype=np.float32)
         self._weight = np.zeros((self._height, self._width), dtype=np.float32)
@@ -153,7 +156,7 @@ class _Canvas:
         north, east = np.cos(azimuth), np.sin(azimuth)
         x, y, z = (flat * (r[0, k] * north + r[1, k] * east) + r[2, k] * down for k in range(3))
         ahead = np.maximum(x, np.float32(1e-6))
-        across, along = y / ahead / self._half_width, z / ahead / self._half_height
+        across, along = self._camera.places(y / ahead, z / ahead)
         inside = np.flatnonzero((x > 0) & (np.abs(across) < 1) & (np.abs(along) < 1))
         across, along = across.ravel()[inside], along.ravel()[inside]
         height, width = picture.shape[:2]

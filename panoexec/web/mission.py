@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from typing import Any, Final
@@ -147,12 +148,18 @@ class Mission:
             shot |= {"patch": True, "target": [pitch, yaw], "q": quaternion(pitch, yaw)}
 
 
+def _half(camera: Mapping[str, Any], view: str, sensor: str) -> float | None:
+    """Tangent of half a field of view, of what counts of an image: from the sensor where the plan does not say it."""
+    angle = number(camera.get(view))
+    if angle is not None and 0 < angle < 180:
+        return number(math.tan(math.radians(angle / 2)), 7)
+    size, focal = number(camera.get(sensor)), number(camera.get("focal_length_mm"))
+    return number(size / (2 * focal), 7) if size and focal else None
+
+
 def _plan(document: Mapping[str, Any]) -> dict[str, Any]:
     camera, constraints = table(document.get("camera")), table(document.get("constraints"))
-    width, height, focal = (
-        number(camera.get(f"{name}_mm")) for name in ("sensor_width", "sensor_height", "focal_length")
-    )
-    halves = [number(size / (2 * focal), 7) if size and focal else None for size in (width, height)]
+    halves = [_half(camera, *names) for names in (("hfov_deg", "sensor_width_mm"), ("vfov_deg", "sensor_height_mm"))]
     tolerance = table(constraints.get("tolerance_deg"))
     masks = constraints.get("masks")
     notes = document.get("notes")

@@ -1,16 +1,18 @@
-"""Renders images of an ideal pinhole camera: back-projection of every pixel, with motion blur.
+"""Renders images of a camera by its lens: back-projection of every pixel, with motion blur.
 
 Pixel (column, row) of an image of w x h pixels looks, in the camera's frame (x boresight, y right, z bottom), along
 
-    (1, s · (column + 0.5 - w/2), s · (row + 0.5 - h/2)),      s = 2 · half_width / w:
+    (1, s · (column + 0.5 - w/2), s · (row + 0.5 - h/2)),      s = 2 · pinhole_half_width / w,
 
-the image's width is exactly the camera's horizontal field of view, and its pixels are exactly square, as stitchers
+or, with distortion or a principal point beside the middle, along the ray that the lens images there (`Camera.rays`). The
+image's width is exactly the sensor's in focal lengths, and its pixels are exactly square, as stitchers
 assume. Its height is the whole number of rows nearest to the vertical field of view.
 """
 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -34,7 +36,7 @@ _LOW_BYTES: Final = np.uint32(0x00FF00FF)
 
 def image_size(camera: Camera, width_px: int) -> tuple[int, int]:
     """Width and height of a rendered image of that width: the height that makes pixels square."""
-    return width_px, max(1, round(width_px * camera.half_height / camera.half_width))
+    return width_px, max(1, round(width_px * camera.pinhole_half_height / camera.pinhole_half_width))
 
 
 class Renderer:
@@ -94,7 +96,7 @@ def _level(scene: Scene, camera: Camera, width_px: int) -> int:
 
     A side of an odd number of pixels is not halved: that would shift pixel centres.
     """
-    pixels_per_radian = width_px / (2 * camera.half_width)
+    pixels_per_radian = width_px / (2 * camera.pinhole_half_width)
     wanted = max(0, round(math.log2(scene.pixels_per_radian / pixels_per_radian)))
     height = scene.width_px // 2
     halvings = (height & -height).bit_length() - 1
@@ -126,7 +128,7 @@ def _distinct(poses: FloatArray, camera: Camera, width_px: int) -> FloatArray:
     """Drop poses that do not visibly change any pixel; keeps at least the middle one."""
     if len(poses) == 1:
         return poses
-    w, h = camera.half_width, camera.half_height
+    w, h = camera.pinhole_half_width, camera.pinhole_half_height
     rays = np.array([[1, 0, 0], [1, -w, -h], [1, w, -h], [1, w, h], [1, -w, h]])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     world = rays @ np.swapaxes(poses, -1, -2)
@@ -138,16 +140,13 @@ def _render_still(
     texture: NDArray[np.uint32], camera: Camera, pose: FloatArray, width_px: int, shift: tuple[float, float, float]
 ) -> Image:
     width, height = image_size(camera, width_px)
-    step = 2 * camera.half_width / width
-    right = ((np.arange(width) + 0.5 - width / 2) * step).astype(np.float32)
-    down = ((np.arange(height) + 0.5 - height / 2) * step).astype(np.float32)[:, None]
+    right, down = _rays(camera, width)
     m = pose.astype(np.float32)
-    across = [m[axis, 0] + m[axis, 1] * right for axis in range(3)]
     out = np.empty((height, width, 3), dtype=np.uint8)
     rows = max(1, _BLOCK_PIXELS // width)
     for top in range(0, height, rows):
-        block = down[top : top + rows]
-        x, y, z = (across[axis] + m[axis, 2] * block for axis in range(3))
+        block = slice(top, top + rows)
+        x, y, z = (m[axis, 0] + m[axis, 1] * right[block] + m[axis, 2] * down[block] for axis in range(3))
         if any(shift):
             # the ground seen along (x, y, z) is this far down, in heights; from the scene's place it is elsewhere
             down_by = np.maximum(z, np.float32(0)) / np.float32(1 - shift[2])
@@ -156,6 +155,21 @@ def _render_still(
         rgb = _bilinear(texture, x, y, z).astype("<u4", copy=False).view(np.uint8)
         out[top : top + rows] = rgb.reshape(*x.shape, 4)[..., :3]
     return out
+
+
+@lru_cache(maxsize=4)
+def _rays(camera: Camera, width: int) -> tuple[Floats, Floats]:
+    """Right and down of the ray of unit depth of each pixel; (1 or h, width) and (h, 1 or width)."""
+    height = image_size(camera, width)[1]
+    step = 2 * camera.pinhole_half_width / width
+    right = ((np.arange(width) + 0.5 - width / 2) * step)[None]
+    down = ((np.arange(height) + 0.5 - height / 2) * step)[:, None]
+    if camera.distortion_used is not None or camera.principal_point_px is not None:
+        ideal = camera.rays(right / camera.pinhole_half_width, down / camera.pinhole_half_height)
+        right, down = ideal[..., 0], ideal[..., 1]
+    else:
+        right = np.broadcast_to(right, (height, width))
+    return right.astype(np.float32), down.astype(np.float32)
 
 
 def _bilinear(texture: NDArray[np.uint32], x: Floats, y: Floats, z: Floats) -> NDArray[np.uint32]:

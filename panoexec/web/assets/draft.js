@@ -77,7 +77,7 @@ export function missionOf(plan) {
   const { camera, constraints } = plan;
   return {
     id: null, name: "", events: [], content: null, gap: false,
-    camera: { name: camera.name, half_width: camera.sensor_width_mm / (2 * camera.focal_length_mm), half_height: camera.sensor_height_mm / (2 * camera.focal_length_mm), hfov_deg: camera.hfov_deg, vfov_deg: camera.vfov_deg },
+    camera: { name: camera.name, half_width: Math.tan((camera.hfov_deg * Math.PI) / 360), half_height: Math.tan((camera.vfov_deg * Math.PI) / 360), hfov_deg: camera.hfov_deg, vfov_deg: camera.vfov_deg },
     band: { known: true, elevation: constraints.elevation_deg, azimuth: constraints.azimuth_deg, masks: [] }, tolerance_deg: constraints.tolerance_deg,
     shots: plan.shots.map((shot) => ({ i: shot.index, row: shot.row, patch: false, target: [shot.pitch_deg, shot.yaw_deg], q: levelQuaternion(shot.pitch_deg, shot.yaw_deg), accepted: null, reason: "", url: null, attempts: [] })),
   };

@@ -11,6 +11,7 @@ import PIL.Image
 import pytest
 
 from panoexec.angles import rotation
+from panoexec.planning.baselines.published import X5S_15MM
 from panoexec.report.panorama import _Canvas, best_picture
 from panoexec.report.source import read_source
 from panoexec.sim.photos.scene import procedural_scene
@@ -69,7 +70,7 @@ class _FlatCanvas(_Canvas):
 
 
 def test_a_direction_that_rounds_to_a_photo_s_border_is_in_it() -> None:
-    canvas = _FlatCanvas({"sensor_width_mm": 17.3, "sensor_height_mm": 13.0, "focal_length_mm": 15.0}, 2048)
+    canvas = _FlatCanvas(X5S_15MM, 2048)
     random = np.random.default_rng(1)
     for yaw_deg, pitch_deg, roll_deg in random.uniform((-180, -90, -0.1), (180, 30, 0.1), (150, 3)):
         canvas.add(Path("flat"), rotation(yaw_deg, pitch_deg, roll_deg), 1)

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from panoexec.angles import FloatArray, direction, rotation
+from panoexec.lens.distortion import Distortion
 from panoexec.optics import Camera
 from panoexec.sim.photos.render import Renderer, image_size
 from panoexec.sim.photos.scene import Scene, procedural_scene
@@ -46,6 +49,38 @@ def test_every_pixel_shows_its_own_direction(camera: Camera, yaw: float, pitch: 
     expected = (rays(camera, width, height) @ pose.T + 1) * 127.5
     # one level is 0.45°; rounding in the scene and in the mixing, and the chord of the interpolation
     np.testing.assert_allclose(image, expected, atol=1.6)
+
+
+def test_a_distorting_lens_shows_each_direction_where_its_profile_says() -> None:
+    lens = Distortion(k1=-0.12, k2=0.03, p1=0.002, p2=-0.001)
+    camera = replace(LANDSCAPE, distortion=lens, principal_point_px=(2100.0, 1480.0), fov_margin=0.05)
+    pose = rotation(20, -15, 3)
+    width, height = image_size(camera, 120)
+    image = Renderer(compass_scene(720)).render(camera, pose, 120)
+    focal_px = 120 * 18 / 36 / np.tan(np.radians(59.94 / 2))
+    checked = 0
+    for y in np.linspace(-0.5, 0.5, 9):
+        for z in np.linspace(-0.38, 0.38, 7):
+            ideal = np.array([y, z])
+            column, row = (
+                lens.apply(ideal) * focal_px + np.array([2100.0 / 4000, 1480.0 / 3006]) * (width, height) - 0.5
+            )
+            if not (0 <= column <= width - 1 and 0 <= row <= height - 1):
+                continue
+            ray = np.array([1.0, y, z])
+            expected = (pose @ ray / np.linalg.norm(ray) + 1) * 127.5
+            # the colour between the four pixels around
+            c, r = int(column), int(row)
+            part = image[r : r + 2, c : c + 2].astype(float)
+            weights = np.outer([1 - (row - r), row - r], [1 - (column - c), column - c])
+            if part.shape[:2] == (2, 2):
+                np.testing.assert_allclose((part * weights[..., None]).sum(axis=(0, 1)), expected, atol=2.0)
+                checked += 1
+    assert checked > 40
+    # places and rays of the camera are each other's inverse
+    across, down = np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 7))
+    ideal = camera.rays(across, down)
+    np.testing.assert_allclose(camera.places(ideal[..., 0], ideal[..., 1]), (across, down), atol=1e-9)
 
 
 def test_signs_in_words() -> None:
