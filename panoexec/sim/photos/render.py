@@ -4,7 +4,8 @@ Pixel (column, row) of an image of w x h pixels looks, in the camera's frame (x 
 
     (1, s · (column + 0.5 - w/2), s · (row + 0.5 - h/2)),      s = 2 · pinhole_half_width / w,
 
-or, with distortion or a principal point beside the middle, along the ray that the lens images there (`Camera.rays`). The
+or, with distortion or a principal point beside the middle, along the ray that the lens images there (`Camera.rays`).
+The
 image's width is exactly the sensor's in focal lengths, and its pixels are exactly square, as stitchers
 assume. Its height is the whole number of rows nearest to the vertical field of view.
 """

@@ -52,7 +52,7 @@ def test_plan_and_events_become_shots_with_attempts() -> None:
     shot = document["shots"][3]
     assert shot["accepted"] == 2
     assert [one["verdict"] for one in shot["attempts"]] == ["rejected", "accepted"]
-    assert abs(document["camera"]["half_width"] - 17.3 / (2 * 14.87)) < 1e-7
+    assert abs(document["camera"]["half_width"] - 17.3 / (2 * 14.87)) < 1e-6
     assert not document["gap"]
     assert "Shot 3 rejected: moved 0.4° during the exposure" in [one["text"] for one in document["events"]]
 
