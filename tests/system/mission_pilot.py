@@ -84,14 +84,18 @@ class Pilot:
         await eventually(condition, timeout_s)
 
     async def upload(self, items: list[Any]) -> None:
-        """Upload a mission; it must be accepted."""
+        """Upload a mission; it must be accepted, at last: ArduPilot's SITL refuses items while it boots."""
         await self.until(lambda: self._autopilot is not None)
         self._items = items
-        self._uploaded = asyncio.get_running_loop().create_future()
-        self.send(mavlink.MAVLink_mission_count_message(1, 1, len(items), 0))
-        async with asyncio.timeout(30):
-            answer = await self._uploaded
-        assert answer == 0, f"MAV_MISSION_RESULT {answer}"
+        for _ in range(30):
+            self._uploaded = asyncio.get_running_loop().create_future()
+            self.send(mavlink.MAVLink_mission_count_message(1, 1, len(items), 0))
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(5):
+                    if await self._uploaded == 0:
+                        return
+            await asyncio.sleep(1.0)
+        raise AssertionError("the mission was not accepted")
 
     async def mode(self, name: str) -> None:
         """Change the flight mode, and see it."""
