@@ -13,14 +13,16 @@ import json
 import math
 from typing import Any, Final
 
-from panoexec.angles import wrap_180
-from panoexec.exports.model import ExportSet
+from panoexec.angles import wrap_180, yaw_pitch_roll
+from panoexec.errors import UsageError
+from panoexec.exports.model import ExportSet, ExportShot
 
 _NAV_RETURN_TO_LAUNCH, _NAV_TAKEOFF, _NAV_DELAY = 20, 22, 93
 _DO_GIMBAL_MANAGER_PITCHYAW, _IMAGE_START_CAPTURE = 1000, 2000
 _FRAME_MISSION, _FRAME_GLOBAL_RELATIVE_ALTITUDE = 2, 3
 _ROLL_PITCH_YAW_LOCK: Final = 4 + 8 + 16
 """GIMBAL_MANAGER_FLAGS: roll and pitch from the horizon, yaw from north."""
+_LEVEL_DEG: Final = 0.01
 
 
 def qgc_text(exports: ExportSet, *, height_m: float = 30.0, interval_s: float = 1.0) -> str:
@@ -30,7 +32,16 @@ def qgc_text(exports: ExportSet, *, height_m: float = 30.0, interval_s: float = 
         exports: the poses; the plan's yaw must be relative to true north.
         height_m: height above the take-off position.
         interval_s: wait after each photo.
+
+    Raises:
+        UsageError: a pose is rolled, which the gimbal manager's command cannot say.
     """
+    rolled = next((shot for shot in exports.shots if abs(_roll_deg(shot)) > _LEVEL_DEG), None)
+    if rolled is not None:
+        raise UsageError(
+            f"qgc: shot {rolled.index} is rolled by {_roll_deg(rolled):.1f}°, and "
+            "MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW has no roll: choose another format"
+        )
     mission = _Mission()
     mission.add(_NAV_TAKEOFF, 0, 0, 0, None, 0, 0, height_m, frame=_FRAME_GLOBAL_RELATIVE_ALTITUDE)
     # without feedback: one second for the slew in addition to the settle time
@@ -61,6 +72,10 @@ def qgc_text(exports: ExportSet, *, height_m: float = 30.0, interval_s: float = 
         },
     }
     return json.dumps(document, indent=2) + "\n"
+
+
+def _roll_deg(shot: ExportShot) -> float:
+    return float(yaw_pitch_roll(shot.rotation)[2])
 
 
 def _home(exports: ExportSet) -> list[float]:

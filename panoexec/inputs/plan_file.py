@@ -99,6 +99,7 @@ class _ShotModel(PlanFileModel):
     row: Annotated[Whole, Field(ge=0, lt=MAX_SHOTS)] | None = None
     pitch_deg: Elevation
     yaw_deg: Degrees
+    roll_deg: Annotated[Finite, Field(ge=-180, le=180)] = 0.0
 
 
 class _PlanModel(PlanFileModel):
@@ -227,6 +228,7 @@ def plan_to_data(plan: Plan) -> dict[str, Any]:
         "constraints": constraints_to_data(plan.constraints),
         "shots": [
             {"index": shot.index, "row": shot.row, "pitch_deg": shot.pitch_deg, "yaw_deg": shot.yaw_deg}
+            | ({"roll_deg": shot.roll_deg} if shot.roll_deg else {})
             for shot in plan.shots
         ],
         "certificate": certificate_to_data(plan.certificate) if plan.certificate else None,
@@ -290,7 +292,13 @@ def _hole_to_data(hole: Hole) -> dict[str, float]:
 
 def _shots(models: Sequence[_ShotModel]) -> tuple[Shot, ...]:
     shots = [
-        Shot(index=i, row=model.row or 0, pitch_deg=model.pitch_deg, yaw_deg=_wrapped(model.yaw_deg))
+        Shot(
+            index=i,
+            row=model.row or 0,
+            pitch_deg=model.pitch_deg,
+            yaw_deg=_wrapped(model.yaw_deg),
+            roll_deg=model.roll_deg,
+        )
         for i, model in enumerate(models)
     ]
     if all(model.row is not None for model in models):

@@ -11,6 +11,7 @@ from panoexec.optics import Camera
 from panoexec.planning.make_plan import finished, make_plan
 from panoexec.planning.model import Constraints, Plan, Timing
 from panoexec.planning.order.shot_order import Order
+from panoexec.planning.reach import check_not_rolled
 from panoexec.planning.request import check_request
 
 
@@ -42,9 +43,10 @@ class PlanSpec:
         """Plan, certify and estimate; takes seconds, or minutes, and a core.
 
         Raises:
-            PlanningError: no plan can satisfy the constraints.
+            PlanningError: no plan can satisfy the constraints, or the given one cannot be flown.
         """
         if self.given is not None:
+            check_not_rolled(self.given.shots)
             check_request(self.given.camera, self.given.constraints)
             return finished(self.given, self.timing)
         return make_plan(

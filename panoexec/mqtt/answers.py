@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 from panoexec.inputs.plan_file import FORMAT, camera_to_data, plan_to_data
 from panoexec.inputs.plan_options import ConstraintsModel
 from panoexec.mqtt.messages import State
-from panoexec.planning.model import Certificate, Estimate, Plan, Shot
+from panoexec.planning.model import Certificate, Estimate, Plan
 
 Finite: TypeAlias = Annotated[float, Field(allow_inf_nan=False)]
 FiniteOrNull: TypeAlias = Annotated[Finite | None, WithJsonSchema({"type": ["number", "null"]})]
@@ -49,6 +49,15 @@ class CameraFields(Fields):
     fov_margin: Finite = 0.0
 
 
+class PoseFields(Fields):
+    """One gimbal pose; roll is 0."""
+
+    index: int
+    row: int
+    pitch_deg: Finite
+    yaw_deg: Finite
+
+
 class PlanFields(Fields):
     """A plan file, format panoexec.plan/1.
 
@@ -59,7 +68,7 @@ class PlanFields(Fields):
     method: str
     camera: CameraFields
     constraints: ConstraintsModel
-    shots: Annotated[tuple[Shot, ...], Field(min_length=1)]
+    shots: Annotated[tuple[PoseFields, ...], Field(min_length=1)]
     certificate: Certificate | None
     estimate: Estimate | None
     lower_bound: WholeOrNull

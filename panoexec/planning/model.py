@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from panoexec.angles import FloatArray, rotation
+from panoexec.angles import FloatArray, rotation_321
 from panoexec.optics import Camera
 
 Guarantee: TypeAlias = Literal["coverage", "all"]
@@ -176,19 +176,22 @@ class Constraints:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shot:
-    """One gimbal pose; roll is 0.
+    """One gimbal pose.
 
     Attributes:
         index: position in the shooting order, from 0.
         row: row number, from 0 at the lowest pitch; all images of a row have the same pitch.
         pitch_deg: positive up.
         yaw_deg: clockwise from the reference heading, [-180, 180).
+        roll_deg: about the boresight, which pitch and yaw direct, positive when the right of the image goes down; these
+            planners make none, no gimbal is commanded to it, but plans of others are judged and exported with it.
     """
 
     index: int
     row: int
     pitch_deg: float
     yaw_deg: float
+    roll_deg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -269,4 +272,5 @@ class Plan:
 
 def shot_rotations(shots: Sequence[Shot]) -> FloatArray:
     """Camera-to-world rotations (n, 3, 3) of the planned poses."""
-    return rotation(np.array([s.yaw_deg for s in shots]), np.array([s.pitch_deg for s in shots]))
+    angles = np.array([(s.yaw_deg, s.pitch_deg, s.roll_deg) for s in shots]).reshape(-1, 3)
+    return rotation_321(angles[:, 0], angles[:, 1], angles[:, 2])

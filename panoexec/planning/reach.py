@@ -24,6 +24,20 @@ def reaches_pitch(gimbal: GimbalLimits, pitch_deg: float) -> bool:
     return gimbal.pitch_min_deg - _ROUNDING_DEG <= pitch_deg <= gimbal.pitch_max_deg + _ROUNDING_DEG
 
 
+def check_not_rolled(shots: Sequence[Shot]) -> None:
+    """Reject shots that are rolled: gimbals are commanded with roll 0.
+
+    Raises:
+        PlanningError: names the first of them.
+    """
+    rolled = [shot for shot in shots if abs(shot.roll_deg) > _ROUNDING_DEG]
+    if rolled:
+        raise PlanningError(
+            f"shot {rolled[0].index} has roll_deg {rolled[0].roll_deg:g}, as have {len(rolled)} of {len(shots)}: "
+            "gimbals are commanded with roll 0; such a plan can be verified and exported, not flown"
+        )
+
+
 def check_reachable(shots: Sequence[Shot], gimbal: GimbalLimits | None) -> None:
     """Reject shots outside the gimbal's limits.
 

@@ -44,6 +44,9 @@ from panoexec.planning.model import NO_TOLERANCE, Certificate, Constraints, Plan
 THRESHOLD_SLACK = 1e-9
 """Tolerance of the threshold comparison, for rounding errors."""
 
+_LEVEL_DEG = 2.0
+"""Images are as good as level up to this roll."""
+
 _PAIRS_AT_A_TIME = 1 << 15
 """Pairs of images judged at a time: limits the memory."""
 
@@ -238,17 +241,22 @@ class _Overlaps:
         return planned[which], np.minimum(worst_pair_overlaps(self._corners, a, b), planned)[which]
 
     def _apart(self, first: IntArray, second: IntArray) -> NDArray[np.bool_]:
-        yaw, pitch, _ = self._angles
+        yaw, pitch, roll = self._angles
         return np.array(
             [
-                separated_by_mask(self._domain, (pitch[i] + pitch[j]) / 2, *self._between(yaw[i], yaw[j], pitch[i]))
+                separated_by_mask(
+                    self._domain,
+                    (pitch[i] + pitch[j]) / 2,
+                    *self._between(yaw[i], yaw[j], pitch[i], max(abs(roll[i]), abs(roll[j]))),
+                )
                 for i, j in zip(first.tolist(), second.tolist(), strict=True)
             ]
         )
 
-    def _between(self, from_deg: float, to_deg: float, pitch_deg: float) -> tuple[float, float]:
+    def _between(self, from_deg: float, to_deg: float, pitch_deg: float, roll_deg: float) -> tuple[float, float]:
         """The azimuths between the facing edges of two images of a row, degrees."""
-        half = _half_azimuth_deg(self._camera, pitch_deg)
+        # of a rolled image not even the boresight's parallel is counted: a mask must reach from boresight to boresight
+        half = 0.0 if abs(roll_deg) > _LEVEL_DEG else _half_azimuth_deg(self._camera, pitch_deg)
         width = (to_deg - from_deg) % 360.0
         return from_deg + min(half, width / 2), from_deg + max(width - half, width / 2)
 
