@@ -58,7 +58,7 @@ class CameraClock:
         self._pairs: deque[tuple[float, float]] = deque(pairs, maxlen=_KEPT)
         self._suspect: tuple[float, float] | None = None
         self._rate, self._rate_error = rate, rate_error
-        self._trips_s: deque[float] = deque(maxlen=_TRIPS)
+        self._trips: deque[tuple[float, float, float]] = deque(maxlen=_TRIPS)  # stamp, asked, received
         self._before: CameraClock | None = None  # the relation before the last step
         self._found_s = math.inf
         self.in_doubt_since_s = math.inf
@@ -95,7 +95,7 @@ class CameraClock:
     @property
     def trips(self) -> int:
         """How many round trips are known."""
-        return len(self._trips_s)
+        return len(self._trips)
 
     def note(self, stamp_s: float, received_s: float, *, asked_s: float = math.nan) -> None:
         """Take a message that was stamped when it was sent.
@@ -108,7 +108,7 @@ class CameraClock:
         if not (math.isfinite(stamp_s) and math.isfinite(received_s)):
             return
         if asked_s <= received_s:
-            self._trips_s.append(received_s - asked_s)
+            self._trips.append((stamp_s, asked_s, received_s))
         self._learn_resolution(stamp_s)
         if self._pairs:
             predicted_s, error_s = self._predict(stamp_s)
@@ -155,9 +155,9 @@ class CameraClock:
     def bounds(self, stamp_s: float, received_s: float) -> tuple[float, float]:
         """Between which times a stamp was made, as round trips prove it.
 
-        The fastest of the messages that relate the clocks was under way for no longer than the second longest of the
-        last round trips (of few, the longest): a delay is a part of its own round trip, the fastest message has the
-        shortest delay, and few round trips are cut short by a message that nobody asked for.
+        An answer was stamped between its request and its arrival, so each round trip bounds the relation of the clocks,
+        and so do all of them together, except for few that are cut short by a message that nobody asked for: the bounds
+        are those of what all but a fifth of the round trips allow (Marzullo's algorithm, as in NTP).
 
         Args:
             stamp_s: the camera's time since boot, seconds.
@@ -173,10 +173,20 @@ class CameraClock:
         stepped = self._before is not None and received_s <= self._found_s + _WINDOW_S
         if stepped or self._suspect is not None:
             return unknown
-        arrives_s, error_s = self._predict(stamp_s)
-        earliest_s = arrives_s - error_s - sorted(self._trips_s)[-1 - self.trips // 5]
-        latest_s = min(arrives_s + error_s, received_s)
-        return (earliest_s, latest_s) if 0 <= latest_s - earliest_s <= _TIGHT_S else unknown
+        ends: list[tuple[float, int]] = []
+        for known_s, asked_s, answered_s in self._trips:
+            apart_s = stamp_s - known_s
+            error_s = self._rate_error * abs(apart_s)
+            ends.append((asked_s + self._rate * apart_s - error_s, 1))
+            ends.append((answered_s + self._rate * apart_s + error_s, -1))
+        enough, covered, allowed = self.trips - self.trips // 5, 0, []
+        for time_s, step in sorted(ends, key=lambda end: (end[0], -end[1])):
+            if max(covered, covered + step) >= enough:
+                allowed.append(time_s)
+            covered += step
+        if not allowed or allowed[0] > received_s or allowed[-1] - allowed[0] > _TIGHT_S:
+            return unknown
+        return allowed[0], min(allowed[-1], received_s)
 
     @property
     def resolution_s(self) -> float:
@@ -221,6 +231,7 @@ class CameraClock:
         self._suspect = None
         self._pairs.clear()
         self._pairs.extend(pairs)
+        self._trips.clear()
         self._found_s = found_s
         self._rate_error = max(self._rate_error, 0.005)
 
