@@ -105,6 +105,7 @@ def plan(
     order: Order = "fastest",
     columns: int | None = None,
     rows: int | None = None,
+    budget_s: float | None = None,
 ) -> Plan:
     """Compute the gimbal poses that cover a panorama, with their certificate.
 
@@ -124,6 +125,7 @@ def plan(
         order: of shooting.
         columns: for `hdrpano`: images at the horizon.
         rows: for `hdrpano`.
+        budget_s: processor time of the search, which then ends with the best plan so far; 20.
 
     Returns:
         The plan; its `certificate.certified` says whether it is proven, `certificate.failures` what is not.
@@ -150,6 +152,10 @@ def plan(
         masks=masks,
     )
     options = replace(options, gimbal=gimbal, method=method, order=order, columns=columns, rows=rows)
+    if budget_s is not None:
+        if not budget_s > 0:
+            raise UsageError(f"budget_s {budget_s:g} is out of range: give seconds above 0")
+        options = replace(options, budget_s=budget_s)
     made = options.over(PlanSpec(camera=used, constraints=default, timing=timing)).plan()
     return Plan._of(made)  # noqa: SLF001  (the class is this module's own)
 

@@ -78,6 +78,7 @@ def _of_start(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--order", choices=("fastest", "rows", "columns", "nadir-first", "sky-first"), help="shooting order"
     )
+    parser.add_argument("--budget", type=positive, metavar="SECONDS", help="processor time of the search")
     group = parser.add_argument_group("panorama (angles in degrees: elevation -90 = nadir, azimuth clockwise)")
     group.add_argument("--overlap", type=number, metavar="F", help="minimum overlap, fraction of the image")
     group.add_argument("--overlap-h", type=number, metavar="F", help="overlap within a row, instead of --overlap")
@@ -97,6 +98,7 @@ def _start_fields(args: argparse.Namespace) -> Data:
         "elevation_deg": args.elevation,
         "azimuth_deg": args.azimuth,
         "tolerance_deg": tolerance or None,
+        "budget_s": args.budget,
     }
     overlaps = ("overlap", "overlap_h", "overlap_v")
     for name in ("preset", "name", "camera", "reference", "method", "order", "guarantee", *overlaps):

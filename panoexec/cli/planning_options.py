@@ -14,6 +14,7 @@ from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.planning.make_plan import METHODS
 from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Timing, Tolerance, Turning
 from panoexec.planning.order.shot_order import ORDERS
+from panoexec.planning.search.budget import DEFAULT_BUDGET_S
 
 DEFAULT_CAMERA = "dji-x5s-15mm"
 DEFAULT_OVERLAP = 0.15
@@ -119,6 +120,12 @@ def add_method_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--columns", type=count, metavar="N", help="hdrpano: number of images at the horizon")
     group.add_argument("--rows", type=count, metavar="N", help="hdrpano: number of rows")
     group.add_argument("--order", choices=ORDERS, help="shooting order (fastest)")
+    group.add_argument(
+        "--budget",
+        type=positive,
+        metavar="SECONDS",
+        help=f"processor time of the search, which then ends with the best plan so far ({DEFAULT_BUDGET_S:g})",
+    )
 
 
 def profile_of(args: argparse.Namespace) -> CameraProfile:
@@ -176,6 +183,7 @@ def _options_of(args: argparse.Namespace) -> PlanOptions:
         order=getattr(args, "order", None),
         columns=getattr(args, "columns", None),
         rows=getattr(args, "rows", None),
+        budget_s=getattr(args, "budget", None),
     )
 
 

@@ -28,7 +28,11 @@ from panoexec.planning.model import Plan
 MEMORY_MB: Final = 300
 """Resident memory that the process never exceeds, 10^6 bytes."""
 CPU_S: Final = 300
-"""Processor time, after which planning is given up."""
+"""Processor time, after which planning is given up.
+
+A search ends by itself at its budget, which is at most `panoexec.planning.search.budget.MOST_BUDGET_S`; what is left is
+for ordering and certifying a plan of `MOST_IMAGES`.
+"""
 MOST_IMAGES: Final = 10_000
 
 _NICE: Final = 5

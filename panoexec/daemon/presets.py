@@ -19,7 +19,9 @@ _ID: Final = re.compile(r"[A-Za-z0-9_-]{1,40}")
 _MOST: Final = 50
 _NOT_HERE: Final = frozenset({"transaction", "preset", "plan", "shots"})
 _OVERLAPS: Final = frozenset({"overlap", "overlap_h", "overlap_v"})
-_OF_A_PLAN: Final = frozenset({"camera", "elevation_deg", "azimuth_deg", "guarantee", "method", "order", *_OVERLAPS})
+_OF_A_PLAN: Final = frozenset(
+    {"camera", "elevation_deg", "azimuth_deg", "guarantee", "method", "order", "budget_s", *_OVERLAPS}
+)
 """What a plan file in the request says itself."""
 
 

@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError,
 
 from panoexec.errors import InputFileError
 from panoexec.inputs.validation import problem_lines, read_toml
+from panoexec.planning.search.budget import DEFAULT_BUDGET_S, MOST_BUDGET_S
 
 ENV_PREFIX = "PANOEXEC_"
 TURNING_MODES = frozenset({"OFFBOARD", "HOLD"})
@@ -276,6 +277,7 @@ class MissionSection(Section):
     elevation_deg: Range = (-90.0, 30.0)
     azimuth_deg: Range = (-180.0, 180.0)
     guarantee: Literal["coverage", "all"] = "coverage"
+    budget_s: Annotated[float, Field(gt=0, le=MOST_BUDGET_S)] = DEFAULT_BUDGET_S
     reference: Literal["north", "heading"] = "north"
     order: Literal["fastest", "rows", "columns", "nadir-first", "sky-first"] = "fastest"
 

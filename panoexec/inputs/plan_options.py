@@ -70,6 +70,7 @@ class PlanOptions:
         order: of shooting.
         columns: for hdrpano: images at the horizon.
         rows: for hdrpano.
+        budget_s: for certified: processor time of the search.
     """
 
     camera: Camera | None = None
@@ -89,6 +90,7 @@ class PlanOptions:
     order: Order | None = None
     columns: int | None = None
     rows: int | None = None
+    budget_s: float | None = None
 
     def over(self, defaults: PlanSpec, file: PlanFile | None = None) -> PlanSpec:
         """The specification: what is said here, else what the plan file says, else the defaults.
@@ -111,6 +113,7 @@ class PlanOptions:
             timing=defaults.timing,
             columns=_said(self.columns, defaults.columns),
             rows=_said(self.rows, defaults.rows),
+            budget_s=_said(self.budget_s, defaults.budget_s),
             given=defaults.given if file is None else file.plan(camera=camera, constraints=constraints),
         )
 
@@ -279,6 +282,7 @@ def configured_spec(config: Config, profile: CameraProfile, limits: TurnLimits =
         ),
         method=section.method,
         order=section.order,
+        budget_s=section.budget_s,
         timing=configured_timing(config, profile),
     )
 

@@ -13,6 +13,7 @@ from panoexec.planning.model import Constraints, Plan, Timing
 from panoexec.planning.order.shot_order import Order
 from panoexec.planning.reach import check_not_rolled
 from panoexec.planning.request import check_request
+from panoexec.planning.search.budget import DEFAULT_BUDGET_S
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,6 +28,7 @@ class PlanSpec:
         timing: what a shot costs besides the slew.
         columns: for hdrpano: images at the horizon.
         rows: for hdrpano.
+        budget_s: for certified: processor time of the search.
         given: a plan that is only certified and estimated, as it is; method, order, columns and rows do not apply.
     """
 
@@ -37,6 +39,7 @@ class PlanSpec:
     timing: Timing = field(default_factory=Timing)
     columns: int | None = None
     rows: int | None = None
+    budget_s: float = DEFAULT_BUDGET_S
     given: Plan | None = None
 
     def plan(self) -> Plan:
@@ -57,4 +60,5 @@ class PlanSpec:
             order=self.order,
             columns=self.columns,
             rows=self.rows,
+            budget_s=self.budget_s,
         )

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator, mode
 
 from panoexec.errors import PanoexecError
 from panoexec.inputs.plan_options import PlanOptions
+from panoexec.planning.search.budget import MOST_BUDGET_S
 
 MAX_PAYLOAD = 64 * 1024
 """Maximum size of a request in bytes."""
@@ -131,6 +132,7 @@ class PlanRequest(Request):
         reference: direction of yaw 0: true north, or the vehicle's heading at the start.
         method: planning method.
         order: shooting order.
+        budget_s: processor time of the search, which then ends with the best plan so far.
         plan: a plan file instead of a plan to be computed.
         preset: whose fields are taken where the request has none: `[presets.NAME]` of the configuration.
         shots: whether the answer has the whole plan file, too.
@@ -151,6 +153,7 @@ class PlanRequest(Request):
     reference: Literal["north", "heading"] | None = None
     method: Literal["certified", "paper"] | None = None
     order: Literal["fastest", "rows", "columns", "nadir-first", "sky-first"] | None = None
+    budget_s: Annotated[Finite, Field(gt=0, le=MOST_BUDGET_S)] | None = None
     plan: Annotated[dict[str, Any], Strict()] | None = None
     preset: Annotated[str, Strict(), Field(min_length=1, max_length=40)] | None = None
     shots: Annotated[bool, Strict()] = False
@@ -183,8 +186,9 @@ class PlanRequest(Request):
             raise ValueError(
                 "overlap and overlap_h, overlap_v exclude each other: give overlap, or overlap_h and overlap_v"
             )
-        if self.plan is not None and (self.method is not None or self.order is not None):
-            raise ValueError("a plan includes its method and order: omit method and order, or omit the plan")
+        own = (self.method, self.order, self.budget_s)
+        if self.plan is not None and any(value is not None for value in own):
+            raise ValueError("a plan includes its method and order: omit method, order and budget_s, or omit the plan")
         return self
 
     def options(self) -> PlanOptions:
@@ -203,6 +207,7 @@ class PlanRequest(Request):
             guarantee=self.guarantee,
             method=self.method,
             order=self.order,
+            budget_s=self.budget_s,
         )
 
 

@@ -23,6 +23,7 @@ def make_plan(
     order: Order,
     columns: int | None = None,
     rows: int | None = None,
+    budget_s: float | None = None,
 ) -> Plan:
     """Make a plan, order its shots, certify it and estimate its duration.
 
@@ -34,6 +35,7 @@ def make_plan(
         order: the order of the shots.
         columns: hdrpano only: images at the horizon.
         rows: hdrpano only: steps between rows.
+        budget_s: certified only: processor time of the search, see `panoexec.planning.search.budget`; None: no limit.
 
     Returns:
         The plan; its certificate says whether it satisfies the constraints.
@@ -45,7 +47,7 @@ def make_plan(
     if method == "certified":
         from panoexec.planning.search.planner import plan_certified  # noqa: PLC0415
 
-        return plan_certified(camera, constraints, timing=timing, order=order)
+        return plan_certified(camera, constraints, timing=timing, order=order, budget_s=budget_s)
     if method == "hdrpano":
         from panoexec.planning.baselines.hdrpano import plan_hdrpano  # noqa: PLC0415
 

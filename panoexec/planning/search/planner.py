@@ -21,20 +21,22 @@ import numpy as np
 from panoexec.angles import rotation
 from panoexec.errors import PlanningError
 from panoexec.optics import Camera
-from panoexec.planning.certificate.verdict import certify, certify_poses
+from panoexec.planning.certificate.verdict import THRESHOLD_SLACK, certify, certify_poses
 from panoexec.planning.model import Certificate, Constraints, GimbalLimits, Plan, Shot, Timing
 from panoexec.planning.order.duration import estimate
 from panoexec.planning.order.shot_order import Order, order_shots
 from panoexec.planning.reach import check_reachable
 from panoexec.planning.request import MAX_IMAGES, check_request
+from panoexec.planning.search.budget import BudgetSpentError, SearchBudget
 from panoexec.planning.search.infeasible import empty_cores, excessive_overlap, infeasibility_error, nothing_to_cover
 from panoexec.planning.search.lower_bound import least_images
 from panoexec.planning.search.row_constraints import RowConstraints
 from panoexec.planning.search.row_refinement import Rows, refine
 from panoexec.planning.search.row_seam import optimise_seam
 from panoexec.planning.search.row_search import Label, searches
+from panoexec.planning.search.siblings import siblings
 from panoexec.planning.search.thinning import drop_redundant_shots, trim_band
-from panoexec.planning.search.variants import variants
+from panoexec.planning.search.variants import Variant, variants
 
 _LABELS_TRIED = 3
 """Number of solutions of one total that are certified before a larger total is tried."""
@@ -48,6 +50,18 @@ _UNKNOWN = 0.02
 _WORK, _LEAST_WORK = 6, 600
 """Budget of certified images per search: this multiple of the plan's images, and at least this number."""
 
+_CLOSE = 0.05
+"""Proposals that lack more overlap are not planned again."""
+
+_MORE_WORK, _LEAST_WORK_ON = 2.0, 1500
+"""Once a plan is certified, the search goes on for fewer images up to this multiple of the work, or of this number."""
+
+_SET_UP_WORK = 400
+"""What it takes to begin with other demands, as work."""
+
+_LAST_GROUP_ON = 3
+"""Variants that are tried for fewer images: stronger demands than these seldom need fewer."""
+
 _LOOSE_TRIED = 6
 """Number of plans that fail only C4 after which stronger demands are tried."""
 
@@ -60,7 +74,12 @@ _DECIMALS = 7
 
 
 def plan_certified(
-    camera: Camera, constraints: Constraints, *, timing: Timing | None = None, order: Order | None = "fastest"
+    camera: Camera,
+    constraints: Constraints,
+    *,
+    timing: Timing | None = None,
+    order: Order | None = "fastest",
+    budget_s: float | None = None,
 ) -> Plan:
     """The certified plan with the fewest images found, in shooting order.
 
@@ -69,6 +88,7 @@ def plan_certified(
         constraints: the constraints to satisfy.
         timing: settle time, exposure time and camera interval.
         order: order of the shots; None for the fastest.
+        budget_s: processor time after which the search ends with the best plan so far; None for no limit.
 
     Returns:
         A certified plan; or, if only certification fails, the best plan found, with `certified` False and the reasons
@@ -82,7 +102,8 @@ def plan_certified(
     hopeless = hopeless or empty_cores(camera, constraints)
     if hopeless:
         raise PlanningError(hopeless)
-    found = _Planner(camera, constraints).best()
+    bound = least_images(camera, constraints)
+    found = _Planner(camera, constraints, SearchBudget(budget_s)).best(enough=bound)
     limits, costs = constraints.gimbal or GimbalLimits(), timing or Timing()
     check_reachable(found.shots, constraints.gimbal)
     shots = order_shots(found.shots, limits, costs, order=order or "fastest")
@@ -92,11 +113,19 @@ def plan_certified(
         constraints=constraints,
         shots=shots,
         estimate=estimate(shots, camera, limits, costs),
-        lower_bound=least_images(camera, constraints),
+        lower_bound=bound,
+        notes=(_cut_note(budget_s, bound),) if found.cut and budget_s is not None else (),
     )
     if not found.certificate.certified:
         return replace(plan, certificate=certify(plan))
     return replace(plan, certificate=_reindexed(found, shots))
+
+
+def _cut_note(budget_s: float, bound: int) -> str:
+    return (
+        f"the search ended at its budget of {budget_s:g} s of processor time; "
+        f"a longer one may find fewer images, but not fewer than {bound}"
+    )
 
 
 def _reindexed(found: _Found, shots: Sequence[Shot]) -> Certificate:
@@ -117,6 +146,8 @@ class _Found:
 
     shots: tuple[Shot, ...]
     certificate: Certificate
+    cut: bool = False
+    """Whether the budget ended the search."""
 
     @property
     def rank(self) -> tuple[int, int]:
@@ -126,34 +157,78 @@ class _Found:
 
 
 class _Planner:
-    def __init__(self, camera: Camera, constraints: Constraints) -> None:
+    def __init__(self, camera: Camera, constraints: Constraints, budget: SearchBudget | None = None) -> None:
         self._camera = camera
         self._asked = constraints
         self._constraints = trim_band(constraints)
+        self._budget = budget or SearchBudget()
         self._best: _Found | None = None
         self._spent = 0
 
-    def best(self) -> _Found:
+    def best(self, *, enough: int = 1) -> _Found:
         """The best plan.
 
+        Args:
+            enough: no plan has fewer images than this, so that one with as many ends the search.
+
         Raises:
-            PlanningError: there is none.
+            PlanningError: there is none, or none was found within the budget.
         """
-        group, closes = 0, False
-        for variant in variants(self._camera, self._constraints):
-            if (self._best_images is not None and variant.group > group) or self._budget_spent:
+        cut = False
+        try:
+            group = self._search(self._constraints)
+            if self._best is not None:
+                self._search_on(enough, group)
+        except BudgetSpentError:
+            cut = True
+        if self._best is None:
+            if cut:
+                raise PlanningError(
+                    f"no plan was found within the budget of {self._budget.seconds:g} s of processor time: "
+                    "allow more (--budget), or ask for a smaller band, less overlap or a shorter focal length"
+                )
+            raise infeasibility_error(self._camera, self._constraints)
+        best = replace(self._best, cut=cut)
+        if self._asked.masks and best.certificate.certified:
+            shots = drop_redundant_shots(self._camera, self._asked, best.shots)
+            return replace(best, shots=shots, certificate=_verdict(self._camera, self._asked, shots))
+        return best
+
+    def _search(self, constraints: Constraints) -> int:
+        """Search with every set of demands, the weakest first, until a plan is certified; return the last group."""
+        group, closes, self._spent = 0, False, 0
+        for variant in variants(self._camera, constraints):
+            if (self._best_images is not None and variant.group > group) or self._many_certified:
                 break
             group = variant.group
-            some = self._try(RowConstraints(self._camera, self._constraints, variant.demands, variant.loss))
-            closes = closes or some
+            closes = self._try_variant(constraints, variant) or closes
             if not closes and group == 1:
                 break  # all other variants have stronger demands
-        if self._best is None:
-            raise infeasibility_error(self._camera, self._constraints)
-        if self._asked.masks and self._best.certificate.certified:
-            shots = drop_redundant_shots(self._camera, self._asked, self._best.shots)
-            return _Found(shots, _verdict(self._camera, self._asked, shots))
-        return self._best
+        return group
+
+    def _search_on(self, enough: int, group: int) -> None:
+        """Search for fewer images with stronger demands, and of slightly stricter requests, as far as the work allows.
+
+        The work allowed is a multiple of that of the search before, unless nothing is certified yet.
+        """
+        allowed = _MORE_WORK * max(self._budget.work, _LEAST_WORK_ON)
+        for constraints in itertools.chain([self._constraints], siblings(self._constraints)):
+            self._spent = 0
+            for variant in variants(self._camera, constraints):
+                if constraints is self._constraints and variant.group <= group:
+                    continue
+                images = self._best_images
+                if images is not None and (images <= enough or self._budget.work > allowed):
+                    return
+                if images is not None and variant.group > _LAST_GROUP_ON:
+                    break
+                self._try_variant(constraints, variant)
+
+    def _try_variant(self, constraints: Constraints, variant: Variant) -> bool:
+        """`_try` with the demands of a variant."""
+        self._budget.use(_SET_UP_WORK)
+        rules = RowConstraints(self._camera, constraints, variant.demands, variant.loss, budget=self._budget)
+        return self._try(rules)
 
     def _try(self, rules: RowConstraints) -> bool:
         """Search a certified plan with fewer images than the best so far; return whether any rows cover the band."""
@@ -166,28 +241,32 @@ class _Planner:
             missing = self._try_solutions(rules, solutions, margin)
             if missing is None:
                 break
-            # search again, with the missing margin added: other counts may result
-            margin = max(margin + missing, _FACTOR * margin)
+            # search again, with what is missing added: other counts may result
+            if missing.across > 0:
+                rules = rules.with_more_overlap(missing.across, worst=self._constraints.guarantee == "all")
+            if missing.margin > 0:
+                margin = max(margin + missing.margin, _FACTOR * margin)
         return closes
 
     def _solutions(self, rules: RowConstraints, margin: float) -> list[Label]:
+        fewer_than = self._best_images or MAX_IMAGES + 1
         for search in searches(rules, wanted=margin):
-            if search.least_images is None:
+            if search.least_images is None or search.least_images >= fewer_than:
                 continue
             if search.least_images > MAX_IMAGES:
                 raise PlanningError(
                     f"the plan needs at least {search.least_images} images, more than the limit of {MAX_IMAGES}: "
                     "ask for less overlap, a smaller band or a shorter focal length"
                 )
-            solutions = search.solutions()
+            solutions = search.solutions(retry=self._best_images is None, fewer_than=fewer_than)
             if solutions:
                 return solutions
         return []
 
-    def _try_solutions(self, rules: RowConstraints, solutions: Sequence[Label], margin: float) -> float | None:
-        """Certify solutions; return the margin missing for C1 or C3 if nothing else fails, else None."""
+    def _try_solutions(self, rules: RowConstraints, solutions: Sequence[Label], margin: float) -> _Lack | None:
+        """Certify solutions; return the least that is missing for C1 to C3 if nothing else fails, else None."""
         tried = loose = 0
-        missing: list[float] = []
+        missing: list[_Lack] = []
         for label in _first_of_each_total(solutions):
             if self._best_images is not None and label.images >= self._best_images:
                 return None
@@ -196,9 +275,9 @@ class _Planner:
                 continue
             if self._best is None or found.rank < self._best.rank:
                 self._best = found
-            if found.certificate.certified or self._budget_spent:
+            if found.certificate.certified or self._many_certified:
                 return None
-            lack = _missing_margin(found.certificate, self._constraints)
+            lack = _missing(found.certificate, self._constraints)
             missing += [] if lack is None else [lack]
             tried += 1
             loose += not found.certificate.two_edge_connected
@@ -206,7 +285,7 @@ class _Planner:
                 loose += _LOOSE_TRIED // (1 if rules.many else 2)
             if loose >= _LOOSE_TRIED or tried >= (_MOST_TRIED_MANY if rules.many else _MOST_TRIED):
                 break
-        return min(missing, default=None)
+        return min(missing, key=lambda lack: (lack.across, lack.margin), default=None)
 
     @property
     def _best_images(self) -> int | None:
@@ -214,8 +293,8 @@ class _Planner:
         return len(self._best.shots) if self._best is not None and self._best.certificate.certified else None
 
     @property
-    def _budget_spent(self) -> bool:
-        """Whether the budget of certified images is used up."""
+    def _many_certified(self) -> bool:
+        """Whether enough proposals of one search were certified."""
         return self._best is not None and self._spent > _WORK * max(_LEAST_WORK, len(self._best.shots))
 
     def _certify_label(self, rules: RowConstraints, label: Label, margin: float) -> _Found | None:
@@ -226,14 +305,15 @@ class _Planner:
             if rows is None:
                 break
             found = self._certify(rules, rows)
-            missing = None if found.certificate.certified else _missing_margin(found.certificate, self._constraints)
-            if missing is None:
+            lack = None if found.certificate.certified else _missing(found.certificate, self._constraints)
+            if lack is None or lack.across > 0:
                 break
-            margin = rows.margin + missing
+            margin = rows.margin + lack.margin
         return found
 
     def _certify(self, rules: RowConstraints, rows: Rows) -> _Found:
         shots = row_shots(rules, rows)
+        self._budget.use()
         self._spent += len(shots)
         return _Found(shots, _verdict(self._camera, self._constraints, shots))
 
@@ -258,13 +338,25 @@ def row_shots(rules: RowConstraints, rows: Rows) -> tuple[Shot, ...]:
     return tuple(shots)
 
 
-def _missing_margin(certificate: Certificate, constraints: Constraints) -> float | None:
-    """The margin missing for C1 or C3, if the rows are close to certified; None if more fails."""
-    least = certificate.worst_overlap_v if constraints.guarantee == "all" else certificate.min_overlap_v
-    missing = 0.0 if least is None else constraints.overlap_v - least
-    if missing > 0.05 or not certificate.two_edge_connected:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Lack:
+    """What rows that are close to certified lack: margin between rows (C1, C3), overlap of neighbours (C2)."""
+
+    margin: float = 0.0
+    across: float = 0.0
+
+
+def _missing(certificate: Certificate, constraints: Constraints) -> _Lack | None:
+    """What is missing for C1 to C3, if the rows are close to certified; None if more fails."""
+    every = constraints.guarantee == "all"
+    upwards = certificate.worst_overlap_v if every else certificate.min_overlap_v
+    across = certificate.worst_overlap_h if every else certificate.min_overlap_h
+    missing_v = 0.0 if upwards is None else constraints.overlap_v - upwards
+    missing_h = 0.0 if across is None else constraints.overlap_h - across
+    if max(missing_h, missing_v) > _CLOSE or not certificate.two_edge_connected:
         return None
-    if missing > 0:
+    margin = 2e-3 if certificate.uncovered_fraction > 0 else 0.0
+    if missing_v > THRESHOLD_SLACK:
         # overlaps are clamped at 0, so there the missing margin is unknown
-        return missing + 2e-4 if least else max(missing, _UNKNOWN)
-    return 2e-3 if certificate.uncovered_fraction > 0 else None
+        margin = missing_v + 2e-4 if upwards else max(missing_v, _UNKNOWN)
+    return _Lack(margin=margin, across=missing_h + 2e-4 if missing_h > THRESHOLD_SLACK else 0.0)

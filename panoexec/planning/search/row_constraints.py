@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from panoexec.angles import FloatArray
 from panoexec.optics import Camera
 from panoexec.planning.model import Constraints
+from panoexec.planning.search.budget import SearchBudget
 from panoexec.planning.search.row_cover import RowCover
 from panoexec.planning.search.row_layout import IntArray, RowLayout, reachable_pitch
 from panoexec.planning.search.row_pairs import PairMargin, Pairs
@@ -65,8 +66,17 @@ class RowConstraints:
         margin: the margin by which pairs of rows satisfy C1 and C3.
     """
 
-    def __init__(self, camera: Camera, constraints: Constraints, demands: Demands, loss: Loss | None = None) -> None:
+    def __init__(
+        self,
+        camera: Camera,
+        constraints: Constraints,
+        demands: Demands,
+        loss: Loss | None = None,
+        *,
+        budget: SearchBudget | None = None,
+    ) -> None:
         self.camera = camera
+        self._budget = budget
         self.demands = demands
         self._constraints = constraints
         self.pitch_deg = reachable_pitch(constraints.gimbal)
@@ -74,7 +84,7 @@ class RowConstraints:
         self._spacing = NeighbourSpacing(camera, demands.neighbours)
         self.layout = RowLayout(constraints, self._spacing.widest)
         self._cover = RowCover(camera, constraints.tolerance)
-        self.margin = PairMargin(camera, self.layout, self._cover)
+        self.margin = PairMargin(camera, self.layout, self._cover, budget)
         self._loss = loss
         self.zones = lru_cache(maxsize=None)(self._zones)
 
@@ -113,8 +123,17 @@ class RowConstraints:
 
     def with_seam(self, seam: float) -> RowConstraints:
         """A copy with another demand on the seam: the part of the meridian between neighbours that both see."""
-        demands = replace(self.demands, neighbours=replace(self.demands.neighbours, seam=seam))
-        return RowConstraints(self.camera, self._constraints, demands, self._loss)
+        return self._with_neighbours(replace(self.demands.neighbours, seam=seam))
+
+    def with_more_overlap(self, more: float, *, worst: bool) -> RowConstraints:
+        """A copy in which neighbours in a row overlap by more, at the planned poses or for every error (`worst`)."""
+        asked = self.demands.neighbours
+        changed = replace(asked, worst=asked.worst + more) if worst else replace(asked, planned=asked.planned + more)
+        return self._with_neighbours(changed)
+
+    def _with_neighbours(self, neighbours: NeighbourDemand) -> RowConstraints:
+        demands = replace(self.demands, neighbours=neighbours)
+        return RowConstraints(self.camera, self._constraints, demands, self._loss, budget=self._budget)
 
     def band(self, pitch_deg: FloatArray, count: IntArray) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest elevation that rows cover at all azimuths for every error, each (k,)."""

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from panoexec.angles import FloatArray
 from panoexec.optics import Camera
+from panoexec.planning.search.budget import SearchBudget
 from panoexec.planning.search.row_cover import RowCover
 from panoexec.planning.search.row_layout import IntArray, RowLayout
 from panoexec.planning.search.row_overlap import seen_by_row, seen_in_columns
@@ -110,17 +111,23 @@ class PairMargin:
     both rows; and the overlap in elevation of the two rows' coverage, in vertical fields of view.
     """
 
-    def __init__(self, camera: Camera, layout: RowLayout, cover: RowCover) -> None:
+    def __init__(self, camera: Camera, layout: RowLayout, cover: RowCover, budget: SearchBudget | None = None) -> None:
         self._camera = camera
         self._layout = layout
         self._cover = cover
+        self._budget = budget or SearchBudget()
 
     def margins(self, pairs: Pairs, resolution: Resolution) -> FloatArray:
         """Margins (k, 3) for each of `PHASES`."""
         return np.minimum(self.overlap_margins(pairs, resolution), self.coverage_margins(pairs, resolution))
 
     def overlap_margins(self, pairs: Pairs, resolution: Resolution) -> FloatArray:
-        """The part of the margins (k, 3) that comes from overlap, C3."""
+        """The part of the margins (k, 3) that comes from overlap, C3.
+
+        Raises:
+            BudgetSpentError: the budget of the search is used up.
+        """
+        self._budget.use(len(pairs))
         low_spacing, _ = self._layout.spacing_and_reach(pairs.low_deg, pairs.low_count)
         high_spacing, _ = self._layout.spacing_and_reach(pairs.high_deg, pairs.high_count)
         low = pairs.low_deg, low_spacing, pairs.low_count

@@ -117,6 +117,7 @@ class RowSearch:
         self._width = min(width, _WIDTH_MANY) if rules.many else width
         self._wanted = wanted
         self._more_images = more_images
+        self._most = NEVER - 1
         self._relaxation = RowRelaxation(rules, wanted, more_images=2 * more_images)
         pitch, count = rules.first_rows(more_images)
         self._first = self._labels(pitch, count, [None] * len(count), np.full(len(count), rules.pitch_deg[0]))
@@ -127,12 +128,14 @@ class RowSearch:
         promises = [promise for promise in map(self._bound, self._first) if promise < NEVER]
         return min(promises) if promises else None
 
-    def solutions(self, *, retry: bool = True) -> list[Label]:
+    def solutions(self, *, retry: bool = True, fewer_than: int = NEVER) -> list[Label]:
         """Complete labels, sorted by number of images, then number of rows, then highest elevation (descending).
 
         Args:
             retry: if none are found, evaluate more steps.
+            fewer_than: only labels with fewer images than this are of use.
         """
+        self._most = fewer_than - 1
         large = (self.least_images or 0) >= _LARGE
         tries = _STEPS_AT_ONCE if large else _STEPS_AT_ONCE[1:]
         for at_once in tries if retry else tries[:-1]:
@@ -161,6 +164,7 @@ class RowSearch:
             steps, all_steps = self._next_steps(going, best, at_once)
             everything = everything and all_steps
             level = self._take(steps)
+        complete = [label for label in complete if label.images <= self._most]
         return sorted(complete, key=lambda label: (label.images, label.rows, -label.highest_deg)), everything
 
     def _bound(self, label: Label) -> int:
@@ -171,7 +175,7 @@ class RowSearch:
         ranked = sorted(
             (promise, label.images + self._relaxation.estimate_after(label.pitch_deg), i)
             for i, (promise, label) in enumerate((self._bound(label), label) for label in labels)
-            if promise <= _with_slack(best)
+            if promise <= min(_with_slack(best), self._most + _SLACK)
         )
         out: list[Label] = []
         for _, _, i in ranked:
@@ -184,7 +188,10 @@ class RowSearch:
     def _next_steps(self, labels: list[Label], best: int, at_once: int) -> tuple[list[_Step], bool]:
         """The steps to evaluate, and whether these are all."""
         steps = [step for label in labels for step in self._steps_from(label)]
-        steps = sorted((step for step in steps if step.promise <= _with_slack(best)), key=lambda step: step.promise)
+        limit = min(_with_slack(best), self._most + _SLACK)
+        steps = sorted((step for step in steps if step.promise <= limit), key=lambda step: step.promise)
+        if not steps:
+            return [], True
         good = sum(step.promise <= _with_slack(steps[0].promise) for step in steps)
         most = max(good, at_once)
         return steps[:most], len(steps) <= most

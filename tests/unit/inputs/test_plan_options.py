@@ -58,6 +58,7 @@ VALUES: dict[str, st.SearchStrategy[Any]] = {
     "order": orders,
     "columns": counts,
     "rows": counts,
+    "budget_s": st.floats(0.1, 240),
 }
 bands = st.builds(
     lambda elevation, azimuth: Band(
@@ -117,6 +118,7 @@ READ: dict[str, Callable[[PlanSpec], object]] = {
     "order": lambda spec: spec.order,
     "columns": lambda spec: spec.columns,
     "rows": lambda spec: spec.rows,
+    "budget_s": lambda spec: spec.budget_s,
 }
 """Where in a specification each option ends; `overlap` is for the two that follow it."""
 
