@@ -58,6 +58,7 @@ class Exposure:
         failure: why not all photos were taken, "" if they were.
         images_before: how many images the camera counted before; -1 where that was not known.
         broken_off: a pause or an end was requested between two photos of a bracket.
+        by_opening: the verdict is on when the shutter was open, by the camera's stamp.
         held: other intervals in which the pose was held, as the dates of the photos asked; a later look finds the same
             dates, and the samples of then are not kept for ever.
     """
@@ -72,3 +73,4 @@ class Exposure:
     images_before: int = -1
     broken_off: bool = False
     held: set[tuple[float, float]] = field(default_factory=set)
+    by_opening: bool = False

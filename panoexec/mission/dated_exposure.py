@@ -24,8 +24,6 @@ _IRREGULAR_S: Final = 0.2
 _WARN_ABOVE_S: Final = 0.1
 _REGULAR_S: Final = 0.03
 """Openings of the shutter that differ by no more than this, beyond what their bounds leave open, are regular."""
-_PHOTOS_BEFORE: Final = 3
-"""How many photos before must have been as regular."""
 ATTITUDE_DELAY_S: Final = 0.02
 """How much later than it was measured an attitude may arrive from the gimbal."""
 
@@ -59,15 +57,19 @@ class ShutterLag:
         return max(self._configured_s, max(self._measured_s) + reserve_s)
 
     @property
-    def knows_openings(self) -> bool:
-        """Whether enough photos were dated closely for `opening` to find a regularity."""
-        return len(self._openings_s) >= _PHOTOS_BEFORE
+    def is_irregular(self) -> bool:
+        """Whether the shutter, or its stamp, was later after one of the last triggers than after another."""
+        lags_s = self._openings_s.values()
+        if not lags_s:
+            return False
+        return max(earliest for earliest, _ in lags_s) - min(latest for _, latest in lags_s) > _REGULAR_S
 
     def opening(self, found: CaptureEvidence, capture: PendingCapture, exposure_s: float) -> tuple[float, float] | None:
         """The interval in which a photo was exposed, if its stamp can be nothing but that of its shutter; else None.
 
         A camera may stamp a photo when it receives the command, or when it reports. So the stamp must lie after the
-        acknowledgement and, with the exposure, before the report, and must be as late as those of the photos before.
+        acknowledgement and, with the exposure, before the report, and must be as late as those of the other photos;
+        where a later one is not, see `is_irregular`.
 
         Args:
             found: what is known of the photo.
@@ -79,11 +81,7 @@ class ShutterLag:
         if found.contradiction or not capture.acknowledged_s < earliest_s <= closed_s < found.reported_s:
             return None
         self._note_opening(found, capture.commanded_s)
-        lags_s = self._openings_s.values()
-        apart_s = max(earliest for earliest, _ in lags_s) - min(latest for _, latest in lags_s)
-        if len(lags_s) <= _PHOTOS_BEFORE or apart_s > _REGULAR_S:
-            return None
-        return earliest_s, closed_s + ATTITUDE_DELAY_S
+        return None if self.is_irregular else (earliest_s, closed_s + ATTITUDE_DELAY_S)
 
     def note(self, found: CaptureEvidence, commanded_s: float) -> str:
         """Add the date of a photo; returns a warning for the operator, "" if there is none."""

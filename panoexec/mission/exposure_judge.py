@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from panoexec.clock import Clock
-from panoexec.devices import AttitudeFeed, CaptureEvidence, EvidenceLevel, PendingCapture
+from panoexec.devices import AttitudeFeed, Camera, CaptureEvidence, EvidenceLevel, PendingCapture
 from panoexec.errors import DeviceError
 from panoexec.mission.attempt_result import Exposure
 from panoexec.mission.dated_exposure import ShutterLag, has_window, window
 from panoexec.mission.pointing.poses import PoseReader
 from panoexec.mission.pointing.tolerance_gate import Target, WindowVerdict, allowed_gap_s, judge_window
 from panoexec.mission.pointing.unseen_motion import HEADING_LAG_S
+from panoexec.mission.protocols import ReportsPhotos
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.slew_watch import SlewWatch
 from panoexec.mission.waiting import within
@@ -37,6 +38,7 @@ class ExposureJudge:
     Attributes:
         poses: the readings.
         feed: the gimbal's reports.
+        camera: whose photos are judged.
         clock: of the mission.
         settings: of the mission.
         slews: knows how old the gimbal's reports are.
@@ -47,6 +49,7 @@ class ExposureJudge:
 
     poses: PoseReader
     feed: AttitudeFeed
+    camera: Camera
     clock: Clock
     settings: MissionSettings
     slews: SlewWatch
@@ -92,7 +95,8 @@ class ExposureJudge:
             The verdict, and the intervals that it holds for besides the whole exposure.
         """
         whole = await self.judge(shot, start_s, end_s)
-        if whole.code != "pointing" or not self.lag.knows_openings:
+        dates = isinstance(self.camera, ReportsPhotos) and self.camera.reports_photos
+        if whole.code != "pointing" or not dates:
             return whole, set()
         try:
             wait_s = self.clock.monotonic() + _REPORT_S - capture.commanded_s

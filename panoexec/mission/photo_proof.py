@@ -208,6 +208,8 @@ class PhotoProof:
             verdict = await self._shooter.judge.judge_date(shot, one, capture.commanded_s, exposure)
             if verdict is not None and not verdict.ok:
                 return "late_exposure", f"{dated_exposure.when(one, capture.commanded_s)}: {verdict.reason}"
+        if exposure.by_opening and self._shooter.lag.is_irregular:
+            return "late_exposure", "the camera's stamps are irregular: it is not known when the shutter was open"
         why = dated_exposure.contradictions(found)
         if not why and self._dates and any(map(dated_exposure.is_unlike_others, found)):
             why = "the camera's report has a time that cannot be dated, unlike its others: its clock was stepped"

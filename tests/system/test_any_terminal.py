@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -47,7 +48,7 @@ def test_an_encoding_costs_no_result(arguments: tuple[str, ...]) -> None:
 def test_a_western_code_page_is_used_as_far_as_it_goes(encoding: str) -> None:
     done = run(("cameras", "dji-x5s-15mm"), encoding)
     assert done.returncode == 0
-    assert "59.94°" in done.stdout.decode(encoding)
+    assert re.search(r"\d\d\.\d\d°", done.stdout.decode(encoding))
 
 
 def test_json_says_the_same_in_ascii(tmp_path: Path) -> None:

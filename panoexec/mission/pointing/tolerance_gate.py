@@ -31,6 +31,8 @@ FORESEEN_FROM_S = 0.25
 """The speed at which a pose goes on is that of the readings of this time: noise of encoders has little part in it."""
 GUST_FROM_S = 0.1
 """The same for a gimbal in a gust, which turns about within half a period of its control loop (4 Hz)."""
+GUST_FRAC = 0.8
+"""The part of the tolerance in which a gimbal in a gust must be foreseen: beyond it, it is as often out as in."""
 SPARSE_INTERVALS = 2.5
 """A stream may have gaps of so many of its own intervals: one message is lost now and then."""
 
@@ -131,7 +133,7 @@ class SettleTracker:
         """
         if not self.settled_at_s <= now_s + 1e-9 or self.is_stale(now_s):
             return False
-        if self._limits.gust_s and self._leaving(self._limits.gust_s):
+        if self._limits.gust_s and self._leaving(self._limits.gust_s, GUST_FRAC):
             self._leaving_s = self._newest
             return False
         return True
@@ -194,11 +196,11 @@ class SettleTracker:
         while self._track[0][0] < time_s - self._track_s - 1e-6:
             self._track.popleft()
 
-    def _leaving(self, ahead_s: float) -> str:
-        """Which axis would leave its tolerance within a time, at its present speed; "" if none would."""
+    def _leaving(self, ahead_s: float, share: float = 1.0) -> str:
+        """Which axis would leave a share of its tolerance within a time, at its present speed; "" if none would."""
         times, *axes = np.array(self._track).T
         tolerance = self._target.tolerance
-        limits = (tolerance.pitch_deg, tolerance.roll_deg, tolerance.yaw_deg)
+        limits = (share * tolerance.pitch_deg, share * tolerance.roll_deg, share * tolerance.yaw_deg)
         for name, values, limit in zip(("pitch", "roll", "yaw"), axes, limits, strict=True):
             coming_deg = float(values.mean()) + slope(times, values) * (times[-1] - times.mean() + ahead_s)
             if abs(coming_deg) > limit:
