@@ -3,9 +3,10 @@ PYTHON  ?= python3
 VENV    ?= .venv
 BIN     := $(VENV)/bin
 ARGS    ?=
+ARCH    ?=
 WORKERS ?= 4
 
-.PHONY: dry-run demo experiment test test-all check format bench deb release lock audit install uninstall clean help
+.PHONY: dry-run demo experiment test test-all check docs format bench deb release lock audit install uninstall clean help
 
 help:            ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
@@ -29,11 +30,15 @@ test-all: $(VENV)/.dev    ## run every test and campaign that this machine can (
 	@.ci/setup tests hugin chromium
 	@.ci/campaigns $(BIN) $(ARGS)
 
-check: $(VENV)/.dev       ## check lint, formatting, types and import layers
+check: $(VENV)/.dev       ## check lint, formatting, types, import layers and the documentation
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+	@.ci/docs $(BIN)/python
+
+docs: $(VENV)/.dev        ## make the documentation's site in build/site/html; a broken link is an error
+	@.ci/docs $(BIN)/python
 
 format: $(VENV)/.dev      ## fix lint and formatting
 	$(BIN)/ruff check --fix .
@@ -42,9 +47,9 @@ format: $(VENV)/.dev      ## fix lint and formatting
 bench: $(VENV)/.dev       ## run the benchmarks (speed and memory)
 	$(BIN)/python -m tests.bench $(ARGS)
 
-deb: $(VENV)/bin/python   ## build dist/panoexec_VERSION_ARCH.deb for this Debian release and architecture
+deb: $(VENV)/bin/python   ## build dist/panoexec_VERSION_ARCH.deb for this Debian release (ARCH=arm64: for that)
 	@.ci/setup deb
-	@packaging/deb $(BIN)/python
+	@packaging/deb $(BIN)/python $(ARCH)
 
 release: $(VENV)/.release deb ## package, bill of materials, checksums and their signature in dist/ (KEY=ID of the signing key)
 	@packaging/release $(BIN)/python $(KEY)
@@ -66,16 +71,17 @@ clean:           ## remove build products and the virtual environment (keeps mis
 
 $(VENV)/bin/python:
 	@.ci/setup python "$(PYTHON)"
-	$(PYTHON) -m venv $(VENV)
+	@echo "making the virtual environment $(VENV)" >&2
+	@$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.sim: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[sim,report,web]'
+	@.ci/pip $(BIN)/python "installing (once)" --editable '.[sim,report,web]'
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@.ci/pip $(BIN)/python "installing (once)" --editable '.[dev]'
 	@touch $@ $(VENV)/.sim
 
 $(VENV)/.release: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[release]'
+	@.ci/pip $(BIN)/python "installing (once)" --editable '.[release]'
 	@touch $@

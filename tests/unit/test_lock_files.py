@@ -15,6 +15,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 EXTRAS = PROJECT["project"]["optional-dependencies"]
 SHIPPED = [*PROJECT["project"]["dependencies"], *EXTRAS["vehicle"], *EXTRAS["service"], *EXTRAS["gphoto2"]]
 BACKEND = PROJECT["build-system"]["requires"]
+MANUAL = [requirement for requirement in EXTRAS["dev"] if requirement.startswith("shtab")]
 HASH = re.compile(r"--hash=sha256:[0-9a-f]{64}")
 
 
@@ -28,7 +29,7 @@ def _locked(name: str) -> dict[str, list[tuple[Requirement, int]]]:
     return locked
 
 
-@pytest.mark.parametrize("name", ["requirements.lock", "build.lock"])
+@pytest.mark.parametrize("name", ["requirements.lock", "build.lock", "manual.lock"])
 def test_each_entry_is_one_version_with_a_hash(name: str) -> None:
     for package, entries in _locked(name).items():
         for requirement, hashes in entries:
@@ -36,7 +37,7 @@ def test_each_entry_is_one_version_with_a_hash(name: str) -> None:
             assert hashes >= 1, package
 
 
-@pytest.mark.parametrize("name", ["requirements.lock", "build.lock"])
+@pytest.mark.parametrize("name", ["requirements.lock", "build.lock", "manual.lock"])
 def test_a_lock_names_no_index(name: str) -> None:
     text = (ROOT / "packaging" / name).read_text()
     assert "://" not in text
@@ -44,7 +45,9 @@ def test_a_lock_names_no_index(name: str) -> None:
     assert "--find-links" not in text
 
 
-@pytest.mark.parametrize(("name", "wanted"), [("requirements.lock", SHIPPED), ("build.lock", BACKEND)])
+@pytest.mark.parametrize(
+    ("name", "wanted"), [("requirements.lock", SHIPPED), ("build.lock", BACKEND), ("manual.lock", MANUAL)]
+)
 def test_what_is_asked_for_is_locked_in_its_range(name: str, wanted: list[str]) -> None:
     locked = _locked(name)
     for text in wanted:
@@ -55,6 +58,8 @@ def test_what_is_asked_for_is_locked_in_its_range(name: str, wanted: list[str]) 
             assert asked.specifier.contains(version), f"{text}: {version} is locked (make lock)"
 
 
-def test_the_backend_is_locked_as_it_is_asked_for() -> None:
-    lines = (ROOT / "packaging" / "build.in").read_text().splitlines()
-    assert [line for line in lines if line and not line.startswith("#")] == BACKEND
+@pytest.mark.parametrize(("name", "wanted"), [("build.in", BACKEND), ("manual.in", MANUAL)])
+def test_what_builds_is_locked_as_it_is_asked_for(name: str, wanted: list[str]) -> None:
+    lines = (ROOT / "packaging" / name).read_text().splitlines()
+    assert [line for line in lines if line and not line.startswith("#")] == wanted
+    assert wanted
