@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import structlog
 
@@ -24,7 +24,7 @@ from panoexec.mission.log.states import ENDED, MissionState
 from panoexec.mission.mission_requests import CommandRefusedError
 from panoexec.mission.protocols import PhotoFetcher
 from panoexec.mission.settings import MissionSettings
-from panoexec.mission.tour_stop import TOUR, TourStop
+from panoexec.mission.tour_stop import TOUR, TourStop, stop_in
 from panoexec.planning.model import Plan
 from panoexec.report.mission_outputs import write_mission_outputs
 from panoexec.store.catalogue import catalogue
@@ -58,11 +58,13 @@ class Offer:
         stored_id: its mission id.
         record: its record so far.
         plan: its plan.
+        stop: the stop of a tour that it was flown at (`TourStop.to_json`); None for none.
     """
 
     stored_id: str
     record: MissionRecord
     plan: Plan
+    stop: dict[str, Any] | None = None
 
 
 class Missions:
@@ -285,7 +287,7 @@ class Missions:
         await stored.journal.close()
         name = stored.directory.mission_id
         record = MissionRecord.from_events(mission_id=name, shots=stored.plan.shots, events=stored.events)
-        self.offer = Offer(stored_id=name, record=record, plan=stored.plan)
+        self.offer = Offer(stored_id=name, record=record, plan=stored.plan, stop=stop_in(stored.extra))
         self.record, self.plan, self.name = record, stored.plan, mission_name(stored.extra)
         _log.info("an interrupted mission can be resumed", mission_id=name, state=record.state.value)
         return record.state is not MissionState.FAILED and not record.asked.pause

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import signal
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -32,6 +33,9 @@ method = "paper"
 name = "The other side"
 elevation_deg = [-10, 15]
 azimuth_deg = [150, 210]
+method = "paper"
+[presets.large]
+elevation_deg = [-80, 10]
 method = "paper"
 [stations]
 enabled = true
@@ -108,21 +112,52 @@ async def flight(
             )
 
 
-async def test_each_station_gets_its_panorama_and_the_mission_goes_on(tmp_path: Path) -> None:
-    async with flight(tmp_path, two_stations()) as flown, flown.daemon():
-        await flown.pilot.until(lambda: "Pano: 2 stations in this mission" in flown.pilot.said.texts)
-        await flown.pilot.mode("auto")
-        await flown.ground.until(lambda: flown.pilot.said.current[-1:] == [6])
-        await flown.ground.until(lambda: (flown.ground.state["tour"] or {}).get("done") == 2)
+async def test_each_station_gets_its_panorama_also_when_the_daemon_is_killed(tmp_path: Path) -> None:
+    async with flight(tmp_path, two_stations(hold_s=60.0)) as flown:
+        async with flown.daemon() as process:
+            await flown.pilot.until(lambda: "Pano: 2 stations in this mission" in flown.pilot.said.texts)
+            await flown.pilot.mode("auto")
+            await flown.ground.until(lambda: flown.ground.state["state"] == "capturing")
+            process.send_signal(signal.SIGKILL)
+            await process.wait()
+        async with flown.daemon():
+            await flown.ground.until(lambda: (flown.ground.state["tour"] or {}).get("done") == 2)
+            await flown.ground.until(lambda: flown.pilot.said.current[-1:] == [6])
         assert flown.outcomes == [(2, "complete"), (4, "complete")]
-        tour = flown.tour
-        manifests = flown.manifests()
-        assert [one["state"] for one in manifests] == ["complete", "complete"]
+        tour, manifests = flown.tour, flown.manifests()
+        assert [one["times"]["restarts"] for one in manifests] == [1, 0]
         assert [one["name"] for one in manifests] == ["", "The other side"]
         assert [one["tour"] for one in manifests] == [
             {"tour_id": tour["tour_id"], "number": number, "waypoint": waypoint}
             for number, waypoint in ((1, 2), (2, 4))
         ]
         assert flown.ground.misfits == []
-        # the markers were run, and nothing of the mission was skipped
+        # the markers were run, and nothing of the mission was left out
         assert flown.pilot.said.current[-3:] == [2, 4, 6]
+
+
+async def test_the_pilot_takes_over_and_the_panorama_pauses(tmp_path: Path) -> None:
+    """And goes on when the pilot flies the mission again: nothing is told to the autopilot from then on."""
+    async with flight(tmp_path, two_stations()) as flown, flown.daemon():
+        await flown.pilot.mode("auto")
+        await flown.ground.until(lambda: flown.ground.state["state"] == "capturing")
+        await flown.pilot.mode("loiter")
+        await flown.ground.until(lambda: flown.ground.state["state"] == "paused")
+        assert "the pilot has taken over (mode LOITER" in flown.ground.state["reason"]
+        told = len(flown.pilot.said.autopilot_texts)
+        await flown.pilot.mode("auto")
+        await flown.ground.until(lambda: flown.pilot.said.current[-1:] == [4])
+        assert flown.pilot.said.autopilot_texts[told:] == ["Reached command #2"]
+        await flown.ground.until(lambda: (flown.ground.state["tour"] or {}).get("done") == 1)
+        assert flown.outcomes == [(2, "incomplete"), (4, "complete")]
+
+
+async def test_px4s_hold_times_are_waited_for_and_cut_short(tmp_path: Path) -> None:
+    items = two_stations(kind="px4", hold_s=60.0, presets=(1, 3))
+    items[3] = item(3, WAYPOINT, 10.0, at=offset(24, 0), z=HEIGHT_M)
+    async with flight(tmp_path, items, autopilot="px4") as flown, flown.daemon():
+        await flown.pilot.mode("auto")
+        await flown.ground.until(lambda: flown.pilot.said.current[-1:] == [5])
+        await flown.ground.until(lambda: (flown.ground.state["tour"] or {}).get("skipped") == 1)
+        assert flown.outcomes == [(1, "complete"), (3, "skipped")]
+        assert "too short" in flown.tour["stops"][1]["reason"]

@@ -136,10 +136,12 @@ def rest_of_mission_s(
             break
         seq += 1
         if item.command == DO_JUMP:
-            times = item.params[1]
+            target, times = item.params[:2]
+            if not math.isfinite(target):
+                continue
             if times < 0 or jumps.get(item.seq, 0) < times:
                 jumps[item.seq] = jumps.get(item.seq, 0) + 1
-                seq = int(item.params[0])
+                seq = int(target)
             continue
         if item.command in (NAV_RETURN, NAV_LAND):
             goal = home if item.command == NAV_RETURN or not _has_place(item) else item

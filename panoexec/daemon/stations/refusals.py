@@ -13,7 +13,8 @@ from panoexec.inputs.config import Config
 from panoexec.planning.model import Plan
 
 _OVERHEAD_S = 5.0
-"""What a station takes beside the panorama, at most."""
+_RETAKES = 1.25
+"""A panorama takes so much longer than estimated, with photos that are taken again, and a little beside it."""
 
 
 def refusal(
@@ -46,7 +47,7 @@ def refusal(
     if plan is None or plan.estimate is None:
         return ""
     duration_s = plan.estimate.duration_s
-    if not extends_hold and not config.stations.guided and duration_s + _OVERHEAD_S > station.hold_s:
+    if not extends_hold and not config.stations.guided and _RETAKES * duration_s + _OVERHEAD_S > station.hold_s:
         return f"the hold time of {station.hold_s:.0f} s is too short for {duration_s:.0f} s of shooting"
     return _battery(config, status, station, duration_s=duration_s, items=items, others=others)
 

@@ -10,6 +10,10 @@ from pathlib import Path
 
 from panoexec.clock import Clock
 from panoexec.daemon.stations.marked import Station
+from panoexec.mission.log.states import MissionState
+from panoexec.store.catalogue import glance
+from panoexec.store.directory import mission_directories
+from panoexec.store.journal import JournalFileError
 from panoexec.store.tours import Stop, Tour, new_tour_id, newest_tour, write_tour
 
 
@@ -88,6 +92,16 @@ class TourLog:
             UsageError: it cannot be written.
         """
         await self.note(replace(stop, outcome=outcome, reason=reason, left=self._now()))
+
+    async def state_of(self, mission_id: str | None) -> MissionState | None:
+        """The state of a mission on disk; None without one, and while its journal is in use."""
+        directory = next((one for one in mission_directories(self._storage()) if one.mission_id == mission_id), None)
+        if directory is None:
+            return None
+        try:
+            return (await asyncio.to_thread(glance, directory.journal)).state
+        except JournalFileError:
+            return None
 
     async def end(self) -> None:
         """The tour is over.

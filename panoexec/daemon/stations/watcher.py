@@ -85,7 +85,7 @@ class Stations:
         """Number of the waypoint that is current and where nothing is left to be done; -1 for none."""
         self._read_s = -math.inf
         self._asked = 0
-        self._shot_s = math.nan
+        self._shot_s = self._shot_all_s = math.nan
         self._paused_by: frozenset[str] = frozenset()
         self._status = ""
 
@@ -113,6 +113,8 @@ class Stations:
         match event:
             case ev.ShotStarted() if math.isnan(self._shot_s):
                 self._shot_s = self._clock.monotonic()
+            case ev.MissionFinishing():
+                self._shot_all_s = self._clock.monotonic()
             case ev.MissionPaused():
                 self._paused_by = frozenset(event.code.split("+"))
             case ev.MissionResumed() | ev.MissionStarted():
@@ -214,17 +216,20 @@ class Stations:
                 await self._say(f"waypoint {station.waypoint}: done already, not again")
                 return
             stop = await self._tour.begin_stop(station)
-        mode = await self._mode(station, stop)
+        refused = "" if again else self._refusal(station, mission)
+        over = await self._tour.state_of(stop.mission_id) if again else None
+        mode = MISSION_MODE if refused or over in FINISHED else await self._mode(station, stop)
+        if mode is None:
+            refused = "the flight mode could not be changed"
         holding = Holding(
             station, mission, clock=self._clock, since_s=math.nan if again else since_s, mode=mode or MISSION_MODE
         )
         self._status = f"at waypoint {station.waypoint}"
         self._changed()
-        refused = "" if again else self._refusal(station, mission)
-        if mode is None:
-            refused = "the flight mode could not be changed"
         try:
-            if not refused:
+            if over in FINISHED:
+                stop = replace(stop, outcome=over.value, reason="panoexec was started again when it was over")
+            elif not refused:
                 stop = await self._fly(station, stop, holding, since_s)
             else:
                 stop = replace(stop, outcome="skipped", reason=refused)
@@ -280,25 +285,26 @@ class Stations:
 
     async def _fly(self, station: Station, stop: Stop, holding: Holding, since_s: float) -> Stop:
         """Fly the panorama; the stop with its outcome, open if the process ends before."""
-        self._shot_s, self._paused_by = math.nan, frozenset()
+        self._shot_s, self._shot_all_s, self._paused_by = math.nan, math.nan, frozenset()
         began_s = self._clock.monotonic()
         asking = asyncio.create_task(self._ask_for_it(station, stop, holding), name="start at a station")
-        finishing = False
+        begun = finishing = False
         while True:
             await holding.look(self._vehicle.status)
-            if asking.done() and stop.mission_id is None:
+            if asking.done() and not begun:
+                begun = True
                 error, mission_id = asking.result()
                 if error:
                     await self._say(f"waypoint {station.waypoint}: not started: {error}")
                     return replace(stop, outcome="skipped", reason=error)
                 stop = replace(stop, mission_id=mission_id)
                 await self._tour.note(stop)
-            if asking.done() and self._missions.mission is None and (ended := self._outcome(stop)) is not None:
+            if begun and self._missions.mission is None and (ended := self._outcome(stop)) is not None:
                 outcome, reason = ended
                 break
             holding.released = not self._paused_by.isdisjoint(_RELEASING)
             too_long = self._clock.monotonic() - began_s > self._config().stations.longest_s
-            if (holding.gone or too_long or self._gives_up(holding)) and not finishing and asking.done():
+            if (holding.gone or too_long or self._gives_up(holding)) and not finishing and begun:
                 finishing = True
                 why = "the vehicle flew on" if holding.gone else "too long" if too_long else "cannot go on here"
                 await self._ask("finish", {"reason": f"station: {why}"})
@@ -323,25 +329,23 @@ class Stations:
 
     async def _ask_for_it(self, station: Station, stop: Stop, holding: Holding) -> tuple[str, str | None]:
         """Start the panorama, or go on with it; why that was refused, and its mission id."""
-        offer, known = self._missions.offer, self._missions.record
-        if stop.mission_id is not None:
-            if known is not None and known.mission_id == stop.mission_id and known.state in FINISHED:
-                return "", stop.mission_id
-            if self._missions.busy:
-                return "", stop.mission_id
-            if offer is not None and offer.stored_id == stop.mission_id:
-                answer = await self._ask("resume", {})
-                return _error_of(answer), stop.mission_id
-        fields = {"preset": station.preset}
         place = TourStop(
             tour_id=self._tour.tour_id, number=stop.number, waypoint=station.waypoint, modes=(holding.mode,)
         )
-        answer = await self._ask("start", fields, place)
-        return _error_of(answer), (answer.get("data") or {}).get("mission_id")
+        offer, known = self._missions.offer, self._missions.record
+        if known is not None and known.mission_id == stop.mission_id and self._missions.busy:
+            return "", stop.mission_id  # it was resumed already
+        if offer is not None and (offer.stored_id == stop.mission_id or offer.stop == place.to_json()):
+            answer = await self._ask("resume", {})
+        else:
+            answer = await self._ask("start", {"preset": station.preset}, place)
+        error = _error_of(answer)
+        if not error:
+            await self._missions.under_way()
+        return error, (answer.get("data") or {}).get("mission_id")
 
     async def _leave(self, station: Station, stop: Stop, holding: Holding) -> Stop:
         """Let the mission go on."""
-        ended_s = self._clock.monotonic()
         if holding.mode != MISSION_MODE and holding.may_act:
             await self._give_back(station, holding)
         await holding.look(self._vehicle.status)
@@ -349,7 +353,9 @@ class Stations:
         if problem:
             _log.warning("the mission goes on by itself", waypoint=station.waypoint, reason=problem)
             return stop
-        return replace(stop, after_s=round(self._clock.monotonic() - ended_s, 2))
+        if stop.mission_id is None or math.isnan(self._shot_all_s):
+            return stop
+        return replace(stop, after_s=round(self._clock.monotonic() - self._shot_all_s, 2))
 
     async def _give_back(self, station: Station, holding: Holding) -> None:
         """Back to the autopilot's mission from the mode in which the vehicle was turned."""
