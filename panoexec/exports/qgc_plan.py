@@ -13,7 +13,7 @@ import json
 import math
 from typing import Any, Final
 
-from panoexec.angles import wrap_180, yaw_pitch_roll
+from panoexec.angles import wrap_180, yaw_pitch_roll_321
 from panoexec.errors import UsageError
 from panoexec.exports.model import ExportSet, ExportShot
 
@@ -75,7 +75,7 @@ def qgc_text(exports: ExportSet, *, height_m: float = 30.0, interval_s: float = 
 
 
 def _roll_deg(shot: ExportShot) -> float:
-    return float(yaw_pitch_roll(shot.rotation)[2])
+    return float(yaw_pitch_roll_321(shot.rotation)[2])
 
 
 def _home(exports: ExportSet) -> list[float]:

@@ -53,7 +53,7 @@ def test_a_rolled_row_is_judged_as_it_is(plan: Plan, row: int, roll: float, seed
 def test_the_hole_that_a_rolled_row_leaves_is_found(plan: Plan) -> None:
     assert plan.certificate is not None
     assert plan.certificate.certified
-    changed = rolled(plan, 1, 45.0)
+    changed = rolled(plan, 1, 90.0)
     assert len(uncovered(changed, directions_in(CONSTRAINTS.band, 20_000, np.random.default_rng(1))))
     assert certify(changed).uncovered_fraction > 0
     # also from a file, where such plans come from
