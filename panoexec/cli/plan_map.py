@@ -165,7 +165,7 @@ def _outline_box(axes: Axes, box: Band | AngleBox, colour: str, label: str | Non
     """Outline a box of directions, in two parts if it crosses the border of the map."""
     patches = _matplotlib("patches")
     left = (box.azimuth_min_deg + 180) % 360 - 180
-    span = min(360.0, box.azimuth_max_deg - box.azimuth_min_deg)
+    span = min(360.0, box.azimuth_span_deg)
     if span >= 360:
         left = -180.0
     for start in (left, left - 360):

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal, Self, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, field_validator, model_validator
 
+from panoexec.azimuths import azimuth_range
 from panoexec.errors import InputFileError
 from panoexec.inputs.validation import problem_lines, read_toml
 from panoexec.planning.search.budget import DEFAULT_BUDGET_S, MOST_BUDGET_S
@@ -289,9 +290,7 @@ class MissionSection(Section):
     @field_validator("azimuth_deg")
     @classmethod
     def _azimuths(cls, value: Range) -> Range:
-        low, high = _ordered_range(value, -360, 540)
-        if high - low > 360:
-            raise ValueError(f"[{low:g}, {high:g}] spans {high - low:g}°: at most 360° (a full circle)")
+        azimuth_range(*value)
         return value
 
 

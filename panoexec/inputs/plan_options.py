@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator
 
+from panoexec.azimuths import azimuth_range
 from panoexec.inputs.lens_choice import with_lens
 from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.optics import Camera, Lens
@@ -172,6 +173,12 @@ class MaskModel(PlanFileModel):
     elevation_deg: tuple[Elevation, Elevation]
     azimuth_deg: tuple[Degrees, Degrees]
 
+    @field_validator("azimuth_deg")
+    @classmethod
+    def _a_sector(cls, value: tuple[float, float]) -> tuple[float, float]:
+        azimuth_range(*value)
+        return value
+
 
 class ConstraintsModel(PlanFileModel):
     """`constraints` of a plan file and of the topic `plan`; their JSON Schema is generated from this."""
@@ -194,8 +201,7 @@ class ConstraintsModel(PlanFileModel):
     @field_validator("azimuth_deg")
     @classmethod
     def _a_sector(cls, value: tuple[float, float]) -> tuple[float, float]:
-        if not 0 < value[1] - value[0] <= 360:
-            raise ValueError(f"[{value[0]:g}, {value[1]:g}] must run clockwise over more than 0 and at most 360°")
+        azimuth_range(*value)
         return value
 
     def constraints(self) -> Constraints:

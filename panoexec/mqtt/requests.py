@@ -11,6 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias, cast
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator, model_validator
 
+from panoexec.azimuths import azimuth_range
 from panoexec.errors import PanoexecError
 from panoexec.inputs.plan_options import PlanOptions
 from panoexec.planning.search.budget import MOST_BUDGET_S
@@ -173,11 +174,8 @@ class PlanRequest(Request):
     @field_validator("azimuth_deg")
     @classmethod
     def _is_a_sector(cls, value: list[float] | None) -> list[float] | None:
-        if value is not None and not (-360 <= value[0] < value[1] <= 540 and value[1] - value[0] <= 360):
-            raise ValueError(
-                f"is [{value[0]:g}, {value[1]:g}]: must run clockwise from min to max, over at most 360°, "
-                "within -360 to 540"
-            )
+        if value is not None:
+            azimuth_range(*value)
         return value
 
     @model_validator(mode="after")

@@ -56,7 +56,7 @@ def coverage_count(camera: Camera, rotations: ArrayLike, width: int = 1440) -> N
 def box_mask(box: Band | AngleBox, width: int) -> NDArray[np.bool_]:
     """Mask (width // 2, width) of the grid cells whose centre lies in a box of directions."""
     elevation, azimuth = grid(width)
-    span = box.azimuth_max_deg - box.azimuth_min_deg
+    span = box.azimuth_span_deg
     inside = (azimuth - box.azimuth_min_deg) % 360 <= span
     high = (elevation >= box.elevation_min_deg) & (elevation <= box.elevation_max_deg)
     return np.asarray(high[:, None] & inside[None, :])

@@ -10,6 +10,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from panoexec.angles import FloatArray, rotation_321
+from panoexec.azimuths import azimuth_range, span_of
 from panoexec.optics import Camera
 
 Guarantee: TypeAlias = Literal["coverage", "all"]
@@ -37,8 +38,9 @@ NO_TOLERANCE = Tolerance(pitch_deg=0.0, roll_deg=0.0, yaw_deg=0.0)
 class Band:
     """The part of the sphere that a panorama covers: a box in elevation and azimuth.
 
-    Azimuths run clockwise from `azimuth_min_deg` to `azimuth_max_deg`, which may lie beyond 180 (170 to 190 is a
-    20° sector around the back); a span of 360 is the full circle.
+    Azimuths run clockwise from `azimuth_min_deg` to `azimuth_max_deg`. Whatever the notation, the first is kept in
+    [-180, 180) and the second above it by at most 360 (`panoexec.azimuths`; 170 to 190 and 170 to -170 are
+    one 20° sector around the back); what is no range is kept as it is, for `check_request` to refuse.
     """
 
     elevation_min_deg: float
@@ -46,10 +48,13 @@ class Band:
     azimuth_min_deg: float = -180.0
     azimuth_max_deg: float = 180.0
 
+    def __post_init__(self) -> None:
+        _set_range(self)
+
     @property
     def azimuth_span_deg(self) -> float:
-        """Width of the sector, (0, 360]."""
-        return self.azimuth_max_deg - self.azimuth_min_deg
+        """Width of the sector, (0, 360]; exactly 360 for the full circle."""
+        return span_of(self.azimuth_min_deg, self.azimuth_max_deg)
 
     @property
     def is_full_circle(self) -> bool:
@@ -65,6 +70,24 @@ class AngleBox:
     elevation_max_deg: float
     azimuth_min_deg: float
     azimuth_max_deg: float
+
+    def __post_init__(self) -> None:
+        _set_range(self)
+
+    @property
+    def azimuth_span_deg(self) -> float:
+        """As of `Band`."""
+        return span_of(self.azimuth_min_deg, self.azimuth_max_deg)
+
+
+def _set_range(box: Band | AngleBox) -> None:
+    """Keep the azimuths in their one representation."""
+    try:
+        start, end = azimuth_range(box.azimuth_min_deg, box.azimuth_max_deg)
+    except ValueError:
+        return
+    object.__setattr__(box, "azimuth_min_deg", start)
+    object.__setattr__(box, "azimuth_max_deg", end)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

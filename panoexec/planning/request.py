@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-
+from panoexec.azimuths import azimuth_range
 from panoexec.errors import PlanningError
 from panoexec.optics import Camera
 from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits
@@ -64,26 +63,23 @@ def _check_band(band: Band) -> None:
         raise PlanningError(f"elevation {low:g} to {high:g}° is out of range: give degrees from -90 to 90")
     if high - low < _NARROWEST_BAND_DEG:
         raise PlanningError(f"elevation {low:g} to {high:g}° is reversed or empty: give the lower end first")
-    left, right = band.azimuth_min_deg, band.azimuth_max_deg
-    if not (math.isfinite(left) and math.isfinite(right) and abs(left) <= 720 and abs(right) <= 720):
-        raise PlanningError(f"azimuth {left:g} to {right:g}° is out of range: give degrees from -360 to 360")
-    if not _NARROWEST_BAND_DEG <= band.azimuth_span_deg <= 360:
-        raise PlanningError(
-            f"azimuth {left:g} to {right:g}° is {band.azimuth_span_deg:g}° wide: it must be above 0 and at most 360 "
-            "(clockwise from the first to the second; 170 190 is a sector around the back)"
-        )
+    _check_azimuths("azimuth", band)
 
 
 def _check_box(name: str, box: AngleBox) -> None:
     low, high = box.elevation_min_deg, box.elevation_max_deg
     if not -90 <= low < high <= 90:
         raise PlanningError(f"{name} elevation {low:g} to {high:g}° is not a range within -90 to 90")
-    span = box.azimuth_max_deg - box.azimuth_min_deg
-    if not 0 < span <= 360:
-        raise PlanningError(
-            f"{name} azimuth {box.azimuth_min_deg:g} to {box.azimuth_max_deg:g}° is {span:g}° wide: "
-            "it must be above 0 and at most 360"
-        )
+    _check_azimuths(f"{name} azimuth", box)
+
+
+def _check_azimuths(name: str, box: Band | AngleBox) -> None:
+    try:
+        azimuth_range(box.azimuth_min_deg, box.azimuth_max_deg)
+    except ValueError as error:
+        raise PlanningError(f"{name} {error}") from error
+    if box.azimuth_span_deg < _NARROWEST_BAND_DEG:
+        raise PlanningError(f"{name} {box.azimuth_min_deg:g} to {box.azimuth_max_deg:g}° is empty")
 
 
 def _check_limits(gimbal: GimbalLimits) -> None:

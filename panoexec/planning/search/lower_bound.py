@@ -71,7 +71,7 @@ def _outermost_sr(camera: Camera, fraction: float) -> float:
 
 def _box_sr(box: Band | AngleBox) -> float:
     low, high = math.radians(box.elevation_min_deg), math.radians(box.elevation_max_deg)
-    width = math.radians(min(box.azimuth_max_deg - box.azimuth_min_deg, 360.0))
+    width = math.radians(min(box.azimuth_span_deg, 360.0))
     return max(math.sin(high) - math.sin(low), 0.0) * width
 
 

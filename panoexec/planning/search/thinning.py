@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from panoexec.angles import FloatArray, rotation
+from panoexec.azimuths import SAME_AZIMUTH_DEG
 from panoexec.optics import Camera
 from panoexec.planning.certificate.verdict import certify_poses
 from panoexec.planning.geometry.domain import Domain
@@ -34,8 +35,11 @@ def trim_band(constraints: Constraints) -> Constraints:
 
 
 def _spans(mask: AngleBox, azimuth_min_deg: float, span_deg: float) -> bool:
-    width = mask.azimuth_max_deg - mask.azimuth_min_deg
-    return width >= 360.0 or (azimuth_min_deg - mask.azimuth_min_deg) % 360.0 + span_deg <= width
+    width = mask.azimuth_span_deg
+    begin = (azimuth_min_deg - mask.azimuth_min_deg) % 360.0
+    if begin > 360.0 - SAME_AZIMUTH_DEG:
+        begin = 0.0
+    return width >= 360.0 or begin + span_deg <= width + SAME_AZIMUTH_DEG
 
 
 def drop_redundant_shots(camera: Camera, constraints: Constraints, shots: Sequence[Shot]) -> tuple[Shot, ...]:
