@@ -199,6 +199,8 @@ def _overview() -> str:
             "",
             *lines,
             "",
+            "panoexec version prints the version",
+            "",
             "exit codes: 0 done, 1 result incomplete, 2 wrong usage or input, 3 device or link failure,",
             "            130 interrupted",
         ]
@@ -206,6 +208,6 @@ def _overview() -> str:
 
 
 def _unknown_command(name: str) -> str:
-    near = difflib.get_close_matches(name, COMMANDS, n=1)
+    near = difflib.get_close_matches(name, [*COMMANDS, "help", "version"], n=1)
     hint = f"did you mean {near[0]!r}?" if near else f"commands are {', '.join(COMMANDS)}"
     return f"unknown command {name!r}: {hint} (see panoexec --help)"

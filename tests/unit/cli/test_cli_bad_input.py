@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+import panoexec
 from panoexec.cli.app import run
 
 PLAN = ["plan", "--camera", "dji-x5s-15mm", "--method", "paper"]
@@ -160,6 +161,14 @@ def test_a_full_disk_leaves_the_old_file(
     assert "No space left on device" in capsys.readouterr().err
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("word", ["version", "--version", "-V"])
+def test_the_version_is_a_command_too(word: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([word]) == 0
+    assert capsys.readouterr().out == f"panoexec {panoexec.__version__}\n"
+    assert run(["verson"]) == 2
+    assert "did you mean 'version'?" in capsys.readouterr().err
 
 
 def test_an_interrupt_is_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
