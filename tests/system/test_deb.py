@@ -77,6 +77,15 @@ def _built() -> Path:
     return max((ROOT / "dist").glob("panoexec_*.deb"), key=lambda path: path.stat().st_mtime)
 
 
+def test_the_same_commit_gives_the_same_package(machine: Machine, tmp_path: Path) -> None:
+    if os.environ.get("PANOEXEC_DEB") or sh("git", "-C", str(ROOT), "status", "--porcelain"):
+        pytest.skip("the package is not of a commit of this clone")
+    clone = tmp_path / "clone"
+    sh("git", "clone", "--quiet", str(ROOT), str(clone))
+    sh("make", "-C", str(clone), "deb")
+    assert (clone / "dist" / machine.package.name).read_bytes() == machine.package.read_bytes()
+
+
 def test_an_installed_package_runs_by_itself(machine: Machine) -> None:
     sh("dpkg", "--install", str(machine.package))
     # Type=notify: the unit is active once the daemon has said READY
@@ -84,6 +93,12 @@ def test_an_installed_package_runs_by_itself(machine: Machine) -> None:
     assert sh("systemctl", "is-enabled", UNIT).strip() == "enabled"
     assert sh("panoexec", "--version").startswith("panoexec ")
     sh("panoexec", "check-config", str(CONFIG))
+    # sentences, where a log of JSON documents would begin with a brace
+    logged = sh("journalctl", "--unit", UNIT, "--output", "json").splitlines()
+    ready = next(entry for line in logged if (entry := json.loads(line)).get("PANO_EVENT") == "ready")
+    assert ready["MESSAGE"].startswith("ready (vehicle drone")
+    for place in ("man/man1/panoexec.1.gz", "bash-completion/completions/panoexec", "doc/panoexec/docs/pilot.md"):
+        assert Path("/usr/share", place).is_file()
     account = pwd.getpwnam("panoexec")
     assert account.pw_uid < 1000
     assert (STATE.stat().st_uid, STATE.stat().st_mode & 0o777) == (account.pw_uid, 0o750)
