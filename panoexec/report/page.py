@@ -11,7 +11,7 @@ import hashlib
 import html
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from typing import Any, Final
@@ -34,12 +34,8 @@ def render_page(data: Mapping[str, Any], panorama: Panorama | None) -> str:
     """
     own = (*_VIEWER_SCRIPTS, *_SCRIPTS) if panorama else _SCRIPTS
     scripts = [*(shared_script(name) for name in _SHARED_SCRIPTS), *(asset(name) for name in own)]
-    styles = shared_asset("theme.css") + asset("report.css") + (_viewer_styles() if panorama else "")
-    digests = " ".join(f"'sha256-{_digest(script)}'" for script in scripts)
-    policy = (
-        f"default-src 'none'; script-src {digests}; style-src 'unsafe-inline'; img-src data: blob:;"
-        " connect-src data: blob:; base-uri 'none'; form-action 'none'"
-    )
+    styles = shared_asset("theme.css") + asset("report.css") + (viewer_styles() if panorama else "")
+    policy = policy_for(scripts)
     mission, counts = data["mission"], data["counts"]
     summary = f"{mission['state']}: {counts['shots_done']} of {counts['shots_total']} shots. {mission['reason']}"
     parts = {
@@ -53,6 +49,15 @@ def render_page(data: Mapping[str, Any], panorama: Panorama | None) -> str:
     }
     # one pass: inserted text is not searched for placeholders
     return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], asset("page.html"))
+
+
+def policy_for(scripts: Sequence[str]) -> str:
+    """The content security policy of a page that runs these scripts and loads nothing."""
+    digests = " ".join(f"'sha256-{_digest(script)}'" for script in scripts)
+    return (
+        f"default-src 'none'; script-src {digests}; style-src 'unsafe-inline'; img-src data: blob:;"
+        " connect-src data: blob:; base-uri 'none'; form-action 'none'"
+    )
 
 
 def embedded_json(data: object) -> str:
@@ -93,7 +98,7 @@ def _picture(panorama: Panorama | None) -> str:
 
 
 @cache
-def _viewer_styles() -> str:
+def viewer_styles() -> str:
     """The viewer's styles with embedded images."""
 
     def inline(match: re.Match[str]) -> str:

@@ -80,7 +80,7 @@ class Flight:
     @property
     def tour(self) -> dict[str, Any]:
         """The newest tour's file."""
-        paths = sorted((self.folder / "data" / "tours").glob("*.json"))
+        paths = sorted((self.folder / "data" / "tours").glob("tour-*.json"))
         return dict(json.loads(paths[-1].read_text())) if paths else {"stops": []}
 
     @property

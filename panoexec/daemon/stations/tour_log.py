@@ -114,8 +114,8 @@ class TourLog:
             await asyncio.to_thread(write_tour, self._storage(), replace(tour, ended=True))
 
     async def _keep(self, tour: Tour) -> None:
-        self.tour = tour
         await asyncio.to_thread(write_tour, self._storage(), tour)
+        self.tour = tour  # told when it is on disk
 
     def _now(self) -> str:
         moment = datetime.fromtimestamp(self._clock.time(), UTC)
