@@ -14,6 +14,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from panoexec.cli.output import note, print_facts, print_json, print_table
+from panoexec.cli.planning_options import lens_in_words
 from panoexec.errors import UsageError
 from panoexec.files import write_atomically
 from panoexec.inputs.camera_profiles import CameraProfile, list_profiles, load_profile
@@ -84,6 +85,7 @@ def _show(profile: CameraProfile) -> None:
             ("sensor", f"{camera.sensor_width_mm:g} × {camera.sensor_height_mm:g} mm"),
             ("image", f"{camera.image_width_px} × {camera.image_height_px} px, {profile.orientation}"),
             ("focal length", f"{_focal(profile)} mm ({camera.equivalent_focal_length_mm:.0f} mm equivalent)"),
+            ("lens", lens_in_words(camera)),
             ("field of view", f"{camera.hfov_deg:.2f}° × {camera.vfov_deg:.2f}°"),
             ("whole sphere", f"{width} × {height} px"),
             ("interval", f"{profile.min_interval_s:g} s at least between photos"),

@@ -20,8 +20,10 @@ from panoexec.cli.plan_map import check_plot_path, plot_plan
 from panoexec.cli.planning_options import (
     add_camera_arguments,
     add_constraint_arguments,
+    add_duration_arguments,
     add_gimbal_arguments,
     add_method_arguments,
+    lens_in_words,
     profile_of,
     spec_of,
 )
@@ -30,7 +32,7 @@ from panoexec.exports import FORMATS, export_plan
 from panoexec.inputs.camera_profiles import CameraProfile
 from panoexec.inputs.plan_file import plan_to_data, write_plan
 from panoexec.planning.fit import what_would_fit
-from panoexec.planning.model import Certificate, Constraints, Plan
+from panoexec.planning.model import Certificate, Constraints, Estimate, Plan
 from panoexec.planning.order.duration import budget_problems, check_budget
 from panoexec.planning.rows import row_table
 
@@ -43,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_constraint_arguments(parser)
     add_gimbal_arguments(parser)
     add_method_arguments(parser)
+    add_duration_arguments(parser)
     budget = parser.add_argument_group("budget")
     budget.add_argument("--max-images", type=count, metavar="N", help="maximum number of images")
     budget.add_argument("--max-duration", type=positive, metavar="S", help="maximum duration of the mission (s)")
@@ -90,14 +93,16 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(plan_to_data(plan))
     else:
-        show_plan(plan, profile, args.distance or _DISTANCES_M)
+        show_plan(plan, profile, args.distance or _DISTANCES_M, hover_min=args.hover_min)
     for path in [args.output, args.plot, *(path for _, path in exports)]:
         if path:
             note(f"wrote {path}")
     return 0 if plan.certificate is not None and plan.certificate.certified else 1
 
 
-def show_plan(plan: Plan, profile: CameraProfile, distances_m: Sequence[float]) -> None:
+def show_plan(
+    plan: Plan, profile: CameraProfile, distances_m: Sequence[float], *, hover_min: float | None = None
+) -> None:
     """Print rows, certificate, duration and size of a plan."""
     camera = plan.camera
     fov = f"{camera.hfov_deg:.2f}° × {camera.vfov_deg:.2f}°"
@@ -117,21 +122,30 @@ def show_plan(plan: Plan, profile: CameraProfile, distances_m: Sequence[float]) 
             for row in reversed(row_table(plan))
         ),
     )
-    facts = []
+    facts = [("lens", lens_in_words(camera))]
     if plan.certificate is not None:
         facts += certificate_facts(plan.certificate)
     if plan.lower_bound is not None:
         facts.append(("lower bound", f"{plan.lower_bound} images (solid angle)"))
     if plan.estimate is not None:
-        width, height = plan.estimate.panorama_px
-        facts.append(("duration", f"{in_words(plan.estimate.duration_s)} ({plan.estimate.slew_deg:.0f}° of slews)"))
-        facts.append(("panorama", f"{width} × {height} px as a whole sphere ({width * height / 1e9:.2f} gigapixel)"))
+        facts += _estimate_facts(plan.estimate, hover_min)
     facts.append(("resolution", ", ".join(f"{camera.ground_resolution_cm(d):.2g} cm at {d:g} m" for d in distances_m)))
     if profile.min_interval_s:
         facts.append(("camera interval", f"{profile.min_interval_s:g} s at least"))
     print_facts(facts)
     for text in plan.notes:
         note(f"note: {text}")
+
+
+def _estimate_facts(estimate: Estimate, hover_min: float | None) -> list[tuple[str, str]]:
+    after = f", of which {in_words(estimate.after_s)} for files and their examination" if estimate.after_s else ""
+    facts = [("duration", f"{in_words(estimate.duration_s)} ({estimate.slew_deg:.0f}° of slews){after}")]
+    if hover_min is not None:
+        need = estimate.duration_s / (60 * hover_min)
+        facts.append(("battery", f"{percent(need, 0)} of a full one, of {hover_min:g} min of hovering"))
+    for name, (width, height) in (("panorama", estimate.band_px), ("whole sphere", estimate.panorama_px)):
+        facts.append((name, f"{width} × {height} px ({width * height / 1e9:.2f} gigapixel)"))
+    return facts
 
 
 def certificate_facts(certificate: Certificate) -> list[tuple[str, str]]:

@@ -11,6 +11,7 @@ from panoexec.inputs.camera_profiles import CameraProfile, load_profile
 from panoexec.inputs.plan_file import PlanFile
 from panoexec.inputs.plan_options import PlanOptions
 from panoexec.inputs.plan_spec import PlanSpec
+from panoexec.optics import Camera
 from panoexec.planning.make_plan import METHODS
 from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Timing, Tolerance, Turning
 from panoexec.planning.order.shot_order import ORDERS
@@ -128,6 +129,43 @@ def add_method_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_duration_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the estimate of the duration counts besides slews and exposures."""
+    group = parser.add_argument_group("duration")
+    group.add_argument("--brackets", type=count, metavar="N", help="photos at each pose (1)")
+    group.add_argument(
+        "--transfer",
+        type=positive,
+        metavar="S",
+        help="time until a photo's file is here and examined, if files arrive in flight (not counted)",
+    )
+    group.add_argument(
+        "--hover-min",
+        type=positive,
+        metavar="MIN",
+        help="hover time of a full battery: states what part of it is needed",
+    )
+
+
+def lens_in_words(camera: Camera) -> str:
+    """The lens that a plan is for."""
+    if camera.lens_used == "nominal":
+        known = ""
+        if camera.is_calibrated:
+            known = f"; the calibrated one ({camera.with_lens('calibrated').focal_length_used_mm:g} mm) does not count"
+        return f"nominal, {camera.focal_length_used_mm:g} mm{known}"
+    parts = [f"calibrated, {camera.focal_length_used_mm:g} mm"]
+    if camera.focal_length_used_mm != camera.focal_length_mm:
+        parts[0] += f" (nominal {camera.focal_length_mm:g} mm)"
+    if camera.distortion_used is not None:
+        parts.append("distortion")
+    if camera.principal_point_px is not None:
+        parts.append("principal point {:g}, {:g} px".format(*camera.principal_point_px))
+    if camera.fov_margin:
+        parts.append(f"{camera.fov_margin:.2%} of the field of view as margin")
+    return ", ".join(parts)
+
+
 def profile_of(args: argparse.Namespace) -> CameraProfile:
     """The camera profile asked for."""
     return load_profile(args.camera, orientation=args.orientation, focal_length_mm=args.focal_length)
@@ -153,15 +191,16 @@ def spec_of(args: argparse.Namespace, *, profile: CameraProfile | None, file: Pl
     else:
         assert named is not None
         camera = named
-    defaults = PlanSpec(camera=camera, constraints=_default_constraints(args), timing=_timing(profile))
+    defaults = PlanSpec(camera=camera, constraints=_default_constraints(args), timing=_timing(args, profile))
     return replace(options, camera=named).over(defaults, file)
 
 
-def _timing(profile: CameraProfile | None) -> Timing:
+def _timing(args: argparse.Namespace, profile: CameraProfile | None) -> Timing:
     """What a shot costs with this camera; the defaults for one without a profile."""
+    timing = Timing(brackets=getattr(args, "brackets", None) or 1, transfer_s=getattr(args, "transfer", None) or 0.0)
     if profile is None:
-        return Timing()
-    return Timing(exposure_s=profile.max_exposure_s, interval_s=profile.min_interval_s)
+        return timing
+    return replace(timing, exposure_s=profile.max_exposure_s, interval_s=profile.min_interval_s)
 
 
 def _options_of(args: argparse.Namespace) -> PlanOptions:

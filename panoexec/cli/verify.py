@@ -19,10 +19,17 @@ from pathlib import Path
 from panoexec.cli.output import note, print_facts, print_json
 from panoexec.cli.plan import certificate_facts, check_targets
 from panoexec.cli.plan_map import check_plot_path, plot_plan
-from panoexec.cli.planning_options import add_camera_arguments, add_constraint_arguments, profile_of, spec_of
+from panoexec.cli.planning_options import (
+    add_camera_arguments,
+    add_constraint_arguments,
+    lens_in_words,
+    profile_of,
+    spec_of,
+)
 from panoexec.errors import UsageError
 from panoexec.inputs.plan_file import PlanFile, camera_to_data, certificate_to_data, read_plan_file, write_plan
 from panoexec.planning.baselines.published import PUBLISHED, published_plan
+from panoexec.planning.cautions import cautions
 from panoexec.planning.certificate.verdict import certify
 from panoexec.planning.model import Plan
 from panoexec.planning.request import check_request
@@ -57,11 +64,14 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(
             {"plan": str(args.plan), "camera": camera_to_data(plan.camera)}
-            | {"certificate": certificate_to_data(certificate)}
+            | {"certificate": certificate_to_data(certificate), "notes": list(cautions(certificate))}
         )
     else:
-        print_facts([("plan", f"{args.plan}: {len(plan.shots)} images of {plan.camera.name}")])
+        name = f"{args.plan}: {len(plan.shots)} images of {plan.camera.name}"
+        print_facts([("plan", name), ("lens", lens_in_words(plan.camera))])
         print_facts(certificate_facts(certificate))
+        for text in cautions(certificate):
+            note(f"note: {text}")
     return 0 if certificate.certified else 1
 
 

@@ -176,6 +176,7 @@ class CameraSection(Section):
     exposure_s: Positive | None = None
     interval_s: NotNegative | None = None
     latency_s: NotNegative = 0.1
+    transfer_s: NotNegative | None = None
     evidence: EvidenceName = "counted"
     file_folders: tuple[Path, ...] = ()
     file_hosts: tuple[str, ...] = ()

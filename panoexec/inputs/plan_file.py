@@ -274,7 +274,10 @@ def certificate_to_data(certificate: Certificate) -> dict[str, Any]:
 
 def estimate_to_data(estimate: Estimate) -> dict[str, Any]:
     """An estimate as written in plan files."""
-    return asdict(estimate) | {"panorama_px": list(estimate.panorama_px)}
+    return asdict(estimate) | {
+        "panorama_px": list(estimate.panorama_px),
+        "band_px": list(estimate.band_px),
+    }
 
 
 def write_plan(path: Path, plan: Plan) -> None:

@@ -342,9 +342,19 @@ def configured_gimbal(config: Config, limits: TurnLimits = UNKNOWN_TURNS) -> Gim
 def configured_timing(config: Config, profile: CameraProfile) -> Timing:
     """What a shot costs besides the slew: as configured, else as the camera's profile says."""
     camera = config.camera
+    # a camera on a cable hands its files over in flight; of others it is known where somebody says how long it takes
+    arrive = camera.transfer_s is not None or camera.trigger == "gphoto2"
     return Timing(
         settle_s=config.pointing.settle_s,
         exposure_s=profile.max_exposure_s if camera.exposure_s is None else camera.exposure_s,
         trigger_latency_s=camera.latency_s,
         interval_s=profile.min_interval_s if camera.interval_s is None else camera.interval_s,
+        brackets=camera.bracket,
+        transfer_s=camera.transfer_s or 0.0,
+        check_s=check_time_s(profile.camera) if arrive and config.pictures.check != "off" else 0.0,
     )
+
+
+def check_time_s(camera: Camera) -> float:
+    """Processor time of examining a photo, by its pixels: measured (docs/content.md)."""
+    return 0.08 + 0.11 * camera.image_width_px * camera.image_height_px / 24e6

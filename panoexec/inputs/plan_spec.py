@@ -5,9 +5,10 @@ This module does not import pydantic, so that the planner's process starts at on
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from panoexec.optics import Camera
+from panoexec.planning.cautions import cautions
 from panoexec.planning.make_plan import finished, make_plan
 from panoexec.planning.model import Constraints, Plan, Timing
 from panoexec.planning.order.shot_order import Order
@@ -43,11 +44,15 @@ class PlanSpec:
     given: Plan | None = None
 
     def plan(self) -> Plan:
-        """Plan, certify and estimate; takes seconds, or minutes, and a core.
+        """Plan, certify and estimate, with cautions as notes; takes seconds, or minutes, and a core.
 
         Raises:
             PlanningError: no plan can satisfy the constraints, or the given one cannot be flown.
         """
+        made = self._made()
+        return replace(made, notes=(*made.notes, *cautions(made.certificate)))
+
+    def _made(self) -> Plan:
         if self.given is not None:
             check_not_rolled(self.given.shots)
             check_request(self.given.camera, self.given.constraints)

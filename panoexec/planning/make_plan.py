@@ -67,5 +67,5 @@ def finished(plan: Plan, timing: Timing, *, order: Order | None = None) -> Plan:
     return replace(
         plan,
         certificate=plan.certificate or certify(plan),
-        estimate=estimate(plan.shots, plan.camera, limits, timing),
+        estimate=estimate(plan.shots, plan.camera, limits, timing, plan.constraints.band),
     )

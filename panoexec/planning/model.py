@@ -171,6 +171,12 @@ class Timing:
     trigger_latency_s: float = 0.05
     interval_s: float = 1.0
     """Minimum interval between two photos of the camera."""
+    brackets: int = 1
+    """Photos at each pose."""
+    transfer_s: float = 0.0
+    """Until a photo's file is here, if they arrive in flight, one after the other; 0: not counted."""
+    check_s: float = 0.0
+    """Examination of a photo whose file is here, likewise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -261,9 +267,15 @@ class Estimate:
     """Expected cost and result of a plan."""
 
     duration_s: float
+    """From the start of the first settling until the last photo is taken, and where files arrive, examined."""
     slew_deg: float
     """Sum over all slews of the larger of the pitch and the yaw angle."""
     panorama_px: tuple[int, int]
+    """The whole sphere at full resolution."""
+    band_px: tuple[int, int]
+    """The part of it that the band fills."""
+    after_s: float = 0.0
+    """How much of the duration comes after the last exposure: files on their way, photos being examined."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from panoexec.angles import FloatArray, wrap_180
 from panoexec.errors import PlanningError
 from panoexec.optics import Camera
-from panoexec.planning.model import Estimate, GimbalLimits, Plan, Shot, Timing, Turning
+from panoexec.planning.model import Band, Estimate, GimbalLimits, Plan, Shot, Timing, Turning
 from panoexec.planning.order.vehicle_yaw import NO_TURN_DEG, headings_deg
 
 
@@ -63,27 +63,70 @@ def slew_time_s(
 
 
 def shot_times_s(timing: Timing, slews_s: ArrayLike) -> FloatArray:
-    """Time from the end of one exposure to the end of the next (s): slew + settling + exposure, or the interval."""
+    """Time from the last exposure at one pose to the last one at the next (s): slew, settling, exposures, intervals."""
     own = np.asarray(slews_s, dtype=np.float64) + timing.settle_s + timing.trigger_latency_s + timing.exposure_s
-    return np.maximum(own, timing.interval_s)
+    return np.maximum(own, timing.interval_s) + _further_s(timing)
+
+
+def _further_s(timing: Timing) -> float:
+    """What the photos of a bracket beyond the first take, seconds."""
+    return (timing.brackets - 1) * max(timing.interval_s, timing.trigger_latency_s + timing.exposure_s)
 
 
 def path_duration_s(shots: Sequence[Shot], limits: GimbalLimits, timing: Timing) -> float:
     """Seconds from the start of the first settling to the end of the last exposure, in the given order, no retakes."""
-    first_s = timing.settle_s + timing.trigger_latency_s + timing.exposure_s
-    if len(shots) < 2:
-        return first_s * len(shots)
-    return first_s + float(shot_times_s(timing, _slews_s(shots, limits)).sum())
+    return float(_ends_s(shots, limits, timing)[-1]) if shots else 0.0
 
 
-def estimate(shots: Sequence[Shot], camera: Camera, limits: GimbalLimits, timing: Timing) -> Estimate:
-    """Expected duration, slew angle and other figures of these shots in this order."""
+def _ends_s(shots: Sequence[Shot], limits: GimbalLimits, timing: Timing) -> FloatArray:
+    """When the last exposure of each shot ends, (n,), seconds after the start of the first settling."""
+    first_s = timing.settle_s + timing.trigger_latency_s + timing.exposure_s + _further_s(timing)
+    steps = shot_times_s(timing, _slews_s(shots, limits)) if len(shots) > 1 else np.empty(0)
+    return np.cumsum(np.concatenate([[first_s], steps]))
+
+
+def _over_s(ends_s: FloatArray, timing: Timing) -> float:
+    """When the last photo is examined: files arrive one after the other, and are examined one after the other."""
+    here_s = checked_s = 0.0
+    for end_s in ends_s.tolist():
+        here_s = max(here_s, end_s) + timing.brackets * timing.transfer_s
+        checked_s = max(checked_s, here_s) + timing.brackets * timing.check_s
+    return max(here_s, checked_s)
+
+
+def estimate(
+    shots: Sequence[Shot], camera: Camera, limits: GimbalLimits, timing: Timing, band: Band | None = None
+) -> Estimate:
+    """Expected duration, slew angle and other figures of these shots in this order.
+
+    Args:
+        shots: in shooting order.
+        camera: the camera.
+        limits: rates of the gimbal, and turns of the vehicle.
+        timing: what a shot costs besides the slew.
+        band: that is covered; None for the whole sphere.
+    """
     pitch, yaw = _angles(shots)
     turned = np.maximum(np.abs(np.diff(pitch)), np.abs(yaw_travel_deg(limits, yaw[:-1], yaw[1:])))
+    ends_s = _ends_s(shots, limits, timing) if shots else np.zeros(1)
+    shooting_s, over_s = float(ends_s[-1]), _over_s(ends_s, timing) if shots else 0.0
     return Estimate(
-        duration_s=round(path_duration_s(shots, limits, timing), 3),
+        duration_s=round(over_s, 3),
         slew_deg=round(float(turned.sum()), 3),
         panorama_px=camera.panorama_px(),
+        band_px=_band_px(camera, band),
+        after_s=round(over_s - shooting_s, 3),
+    )
+
+
+def _band_px(camera: Camera, band: Band | None) -> tuple[int, int]:
+    width, height = camera.panorama_px()
+    if band is None:
+        return width, height
+    per_degree = width / 360
+    return (
+        max(1, round(per_degree * band.azimuth_span_deg)),
+        max(1, round(per_degree * (band.elevation_max_deg - band.elevation_min_deg))),
     )
 
 

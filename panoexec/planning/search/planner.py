@@ -112,7 +112,7 @@ def plan_certified(
         camera=camera,
         constraints=constraints,
         shots=shots,
-        estimate=estimate(shots, camera, limits, costs),
+        estimate=estimate(shots, camera, limits, costs, constraints.band),
         lower_bound=bound,
         notes=(_cut_note(budget_s, bound),) if found.cut and budget_s is not None else (),
     )

@@ -63,7 +63,7 @@ class TestPlan:
         assert constraints["azimuth_deg"] == [170, 260]
         assert constraints["tolerance_deg"] == {"pitch": 0.1, "roll": 0.1, "yaw": 0.4}
         assert constraints["guarantee"] == "all"
-        assert constraints["masks"] == [{"elevation_deg": [-40, -30], "azimuth_deg": [180, 190]}]
+        assert constraints["masks"] == [{"elevation_deg": [-40, -30], "azimuth_deg": [-180, -170]}]
         assert document["camera"]["hfov_deg"] == pytest.approx(47.222, abs=0.001)
 
     def test_hdrpano_is_the_published_grid(self, capsys: pytest.CaptureFixture[str]) -> None:

@@ -55,7 +55,7 @@ def plan(shots: tuple[Shot, ...] | None = None) -> Plan:
         shots=shots
         or (Shot(index=0, row=1, pitch_deg=10.0, yaw_deg=-170.0), Shot(index=1, row=0, pitch_deg=-90.0, yaw_deg=0.0)),
         certificate=CERTIFICATE,
-        estimate=Estimate(duration_s=60.0, slew_deg=400.0, panorama_px=(28515, 14258)),
+        estimate=Estimate(duration_s=60.0, slew_deg=400.0, panorama_px=(28515, 14258), band_px=(28515, 9505)),
         lower_bound=2,
     )
 
@@ -88,7 +88,13 @@ def test_a_file_has_the_keys_of_the_contract(tmp_path: Path) -> None:
     assert {"certified", "images", "min_overlap_h", "uncovered_fraction", "two_edge_connected"} <= set(
         data["certificate"]
     )
-    assert data["estimate"] == {"duration_s": 60.0, "slew_deg": 400.0, "panorama_px": [28515, 14258]}
+    assert data["estimate"] == {
+        "duration_s": 60.0,
+        "slew_deg": 400.0,
+        "panorama_px": [28515, 14258],
+        "band_px": [28515, 9505],
+        "after_s": 0.0,
+    }
     assert read_plan_file(path).plan().shots == plan().shots
 
 
