@@ -59,7 +59,10 @@ class AutoResume:
         await self._commands.decline_what_may_be_forgotten()
         restoring = restore_leftovers(lambda: self._config().storage.path, self._missions)
         self._group.create_task(restoring, name="leftovers")
-        if may_resume and self._config().mission.resume == "auto":
+        offer, config = self._missions.offer, self._config()
+        if config.stations.enabled and offer is not None and offer.stop is not None:
+            return  # it goes on if the vehicle is still at its station
+        if may_resume and config.mission.resume == "auto":
             self._group.create_task(self._resume(), name="resume")
 
     async def _resume(self) -> None:

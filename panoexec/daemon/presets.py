@@ -32,6 +32,8 @@ def preset_problems(config: Config) -> list[str]:
         problems.append(f"presets: there are {len(config.presets)}, at most {_MOST} can be kept")
     if config.rc.preset is not None and config.rc.preset not in config.presets:
         problems.append(f"rc.preset: there is no [presets.{config.rc.preset}]")
+    if config.stations.enabled and not config.presets:
+        problems.append("stations.enabled: there is no [presets.NAME], whose number a station could have")
     for name, fields in config.presets.items():
         if not _ID.fullmatch(name):
             problems.append(f"presets.{name}: {name!r} is not an id: use 1 to 40 of A-Z a-z 0-9 _ -")

@@ -257,11 +257,6 @@ class VehicleLink:
         rc = (RC_STREAM,) if self._channels else ()
         return (*DEFAULT_STREAMS, *rc, *((MISSION_STREAM,) if self._config.stations.enabled else ()))
 
-    async def use_rates(self, *, active: bool) -> None:
-        """Request the rates of a mission, or the idle ones, if there is a link."""
-        if self._link is not None:
-            await self._link.use_rates(active=active)
-
     async def say(self, text: str) -> None:
         """Send text to the ground stations, if there is a link."""
         if self._link is not None:

@@ -15,7 +15,7 @@ from typing import Any
 
 from panoexec.dryrun.autopilot import firmware_of, running_sitl
 from panoexec.dryrun.firmware import SitlOptions, free_udp_ports
-from panoexec.sim.config import AirframeConfig, SimConfig
+from panoexec.sim.config import AirframeConfig, AxisConfig, GimbalConfig, SimConfig
 from panoexec.sim.process import running_simulator
 from tests.support.truth import untruths
 from tests.system.daemon import Ground, ground_station, ready, serving
@@ -37,6 +37,16 @@ elevation_deg = [-60, 10]
 [stations]
 enabled = true
 """
+TURNING = """[presets.front]
+elevation_deg = [-40, 0]
+azimuth_deg = [-60, 60]
+tolerance_deg = { yaw = 2.0, pitch = 0.3, roll = 0.3 }
+[gimbal]
+yaw = "vehicle"
+[stations]
+enabled = true
+guided = true
+"""
 
 
 def many_stations(count: int, kind: str) -> list[Any]:
@@ -51,7 +61,13 @@ def many_stations(count: int, kind: str) -> list[Any]:
 
 
 async def flown(
-    autopilot: Autopilot, folder: Path, *, killed_in: int | None = None, count: int = STATIONS
+    autopilot: Autopilot,
+    folder: Path,
+    *,
+    killed_in: int | None = None,
+    count: int = STATIONS,
+    gimbal: GimbalConfig | None = None,
+    config: str = CONFIG,
 ) -> dict[str, Any]:
     """Fly the mission; the tour, with the seconds that the vehicle was at each station, by its own time."""
     binary = autopilot.binary()
@@ -62,6 +78,7 @@ async def flown(
         attach_url=f"udpin:127.0.0.1:{payload}",
         output=card,
         airframe=AirframeConfig(wind_m_s=WIND_M_S),
+        gimbal=gimbal or GimbalConfig(),
     )
     options = SitlOptions(
         binary=binary,
@@ -74,7 +91,7 @@ async def flown(
     with running_broker(folder) as broker, contextlib.closing(Pilot(near, far, kind)) as pilot:
         async with running_simulator(simulation), running_sitl(options), ground_station(broker) as ground:
             await pilot.upload(many_stations(count, kind))
-            async with serving(folder, broker, far, more=CONFIG, speedup=1.0) as daemon:
+            async with serving(folder, broker, far, more=config, speedup=1.0) as daemon:
                 await ready(ground)
                 await pilot.take_off(HEIGHT_M)
                 await pilot.mode("auto")
@@ -132,3 +149,24 @@ async def test_the_daemon_is_killed_in_a_station(autopilot: Autopilot, tmp_path:
     count = max(2, STATIONS)
     tour = await flown(autopilot, tmp_path, killed_in=min(3, count), count=count)
     hold_to_account(tmp_path, tour, count)
+
+
+@autopilots()
+async def test_a_vehicle_with_two_axes_turns_in_its_own_mode_and_is_given_back(
+    autopilot: Autopilot, tmp_path: Path
+) -> None:
+    """`[stations] guided`: GUIDED or Hold between two legs of the mission."""
+    whole = GimbalConfig()
+    no_pan = AxisConfig(
+        rate_deg_s=whole.yaw.rate_deg_s, acceleration_deg_s2=whole.yaw.acceleration_deg_s2, min_deg=0.0, max_deg=0.0
+    )
+    tour = await flown(
+        autopilot,
+        tmp_path,
+        count=2,
+        gimbal=GimbalConfig(yaw=no_pan, yaw_endless=False),
+        config=TURNING,
+    )
+    hold_to_account(tmp_path, tour, 2)
+    log = (tmp_path / "serve.log").read_text()
+    assert log.count("to turn the vehicle") == log.count("back to the mission") == 2

@@ -298,7 +298,10 @@ class Stations:
                     await self._say(f"waypoint {station.waypoint}: not started: {error}")
                     return replace(stop, outcome="skipped", reason=error)
                 stop = replace(stop, mission_id=mission_id)
-                await self._tour.note(stop)
+                try:
+                    await self._tour.note(stop)
+                except PanoexecError as error:  # the vehicle must be held all the same
+                    _log.error("the tour could not be kept", error=str(error))
             if begun and self._missions.mission is None and (ended := self._outcome(stop)) is not None:
                 outcome, reason = ended
                 break

@@ -101,3 +101,10 @@ def test_a_request_that_says_everything_is_not_changed(overlap: float, low: int,
     asked = start(preset="roof", **said)
     merged = with_preset(config(roof=ROOF), asked)
     assert merged.model_dump() == asked.model_dump()
+
+
+def test_stations_need_a_preset_to_name() -> None:
+    on = {"vehicle": {"connection": "udpin://0.0.0.0:1"}, "stations": {"enabled": True}}
+    problem = "stations.enabled: there is no [presets.NAME], whose number a station could have"
+    assert problem in configuration_problems(Config.model_validate(on))
+    assert problem not in configuration_problems(Config.model_validate(on | {"presets": {"roof": ROOF}}))

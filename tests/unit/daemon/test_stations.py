@@ -88,6 +88,19 @@ async def test_a_panorama_that_was_over_when_the_process_died_is_not_flown_again
     assert flown.told("current 2")
 
 
+async def test_a_process_that_is_stopped_leaves_the_stop_open(tmp_path: Path) -> None:
+    flown = world(tmp_path)
+    await flown.run(15)
+    flown.missions.record.state, flown.missions.mission = MissionState.PAUSED, None  # interrupted
+    await flown.run(2)
+    assert flown.tour.open_stop is not None
+    assert not flown.told("current 2")
+    flown.missions.mission = object()
+    flown.kill()
+    await flown.run(100)
+    assert flown.outcomes == [(1, "complete"), (3, "complete")]
+
+
 async def test_a_process_that_comes_back_too_late_leaves_the_stop_as_it_is(tmp_path: Path) -> None:
     flown = world(tmp_path)
     await flown.run(15)
