@@ -26,7 +26,6 @@ class SettleWait:
         poses: the readings.
         feed: the gimbal's reports.
         clock: of the mission.
-        settle_s: for how long the pose must be held.
         tracker: judges the readings.
         next_trigger_s: returns when the camera may be triggered next.
         heading_controller: turns the vehicle where the gimbal cannot pan far enough.
@@ -38,7 +37,6 @@ class SettleWait:
     poses: PoseReader
     feed: AttitudeFeed
     clock: Clock
-    settle_s: float
     tracker: SettleTracker
     next_trigger_s: Callable[[], float]
     heading_controller: HeadingController | None
@@ -121,7 +119,7 @@ class SettleWait:
         """Return at the earliest time at which the pose can be settled, or with the next sample if that is near."""
         settled_at_s = self.tracker.settled_at_s
         if math.isnan(settled_at_s):
-            settled_at_s = self._newest_s + self.settle_s
+            settled_at_s = self._newest_s + self.tracker.needed_s
         left_s = settled_at_s - now_s
         if left_s > 0 and (self._corrector is None or left_s < LAST_SLEEP_S):
             await self._sleep_most_of(left_s)

@@ -25,6 +25,12 @@ class Tolerance:
     roll_deg: float
     yaw_deg: float
 
+    def times(self, factor: float) -> Tolerance:
+        """The same of each axis, multiplied."""
+        return Tolerance(
+            pitch_deg=factor * self.pitch_deg, roll_deg=factor * self.roll_deg, yaw_deg=factor * self.yaw_deg
+        )
+
     @property
     def is_zero(self) -> bool:
         """Whether all tolerances are 0 (no pointing errors)."""

@@ -33,6 +33,8 @@ GUST_FROM_S = 0.1
 """The same for a gimbal in a gust, which turns about within half a period of its control loop (4 Hz)."""
 GUST_FRAC = 0.8
 """The part of the tolerance in which a gimbal in a gust must be foreseen: beyond it, it is as often out as in."""
+KICK = 3.0
+"""A pose that is off by more times the tolerance may swing again."""
 SPARSE_INTERVALS = 2.5
 """A stream may have gaps of so many of its own intervals: one message is lost now and then."""
 
@@ -76,6 +78,8 @@ class SettleLimits:
         max_gap_s: longest gap between samples.
         foresee_s: for how long from now on the pose must stay inside tolerance, at its present speed; 0: not judged.
         gust_s: the same, of the moment of the trigger alone.
+        again_s: what takes the place of `settle_s` when a pose that was settled is out of tolerance, by no more than
+            `KICK` times of it: the swing of the slew is over.
         use_reported_rate: whether to use the angular speed that the device reports; else it is computed from the
             attitudes. Without a pan axis the reported one contains the airframe's vibration.
     """
@@ -85,6 +89,7 @@ class SettleLimits:
     max_gap_s: float
     foresee_s: float = 0.0
     gust_s: float = 0.0
+    again_s: float = math.inf
     use_reported_rate: bool = True
 
 
@@ -105,6 +110,8 @@ class SettleTracker:
         self._track: deque[tuple[float, float, float, float]] = deque()
         self._track_s = FORESEEN_FROM_S if limits.foresee_s else GUST_FROM_S if limits.gust_s else 0.0
         self._leaving_s = -math.inf
+        self._held = False
+        self._run_s = limits.settle_s  # how long the current run of good readings must be
         self._problem: str | None = "no attitude sample received"
 
     @property
@@ -124,7 +131,12 @@ class SettleTracker:
         """End of the settle time if all further readings are good; NaN if the newest one is bad."""
         if math.isnan(self._inside_since):
             return math.nan
-        return max(self._inside_since + self._limits.settle_s, self._leaving_s)
+        return max(self._inside_since + self._run_s, self._leaving_s)
+
+    @property
+    def needed_s(self) -> float:
+        """How long every sample must be inside tolerance from the next one on, if the newest one is not."""
+        return min(self._limits.settle_s, self._limits.again_s) if self._held else self._limits.settle_s
 
     def is_settled(self, now_s: float) -> bool:
         """Whether every sample has been inside tolerance, and slow, for the settle time, and the newest is fresh.
@@ -149,6 +161,8 @@ class SettleTracker:
         errors = pose_error(self._target.pitch_deg, self._target.yaw_deg, np.stack(usable)) if usable else None
         inside = iter([] if errors is None else errors.within(self._target.tolerance).tolist())
         axes = iter([] if errors is None else _axes(errors).tolist())
+        if errors is not None and self._held and not np.all(errors.within(self._target.tolerance.times(KICK))):
+            self._held = False
         for reading in readings:
             if reading.rotation is None:
                 self._track.clear()
@@ -168,10 +182,12 @@ class SettleTracker:
         if bad or silent > self._limits.max_gap_s:
             self._inside.clear()
             self._inside_since = math.nan
+            self._held = self._held and reading.rotation is not None and silent <= self._limits.max_gap_s
         if bad:
             return
         if math.isnan(self._inside_since):
-            self._inside_since = reading.time_s
+            self._inside_since, self._run_s = reading.time_s, self.needed_s
+        self._held |= reading.time_s - self._inside_since >= self._limits.settle_s - 1e-9
         self._inside.append(reading)
         while len(self._inside) > 2 and self._inside[1].time_s <= reading.time_s - self._limits.settle_s:
             self._inside.popleft()

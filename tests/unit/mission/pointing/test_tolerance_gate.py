@@ -233,6 +233,25 @@ def test_a_gust_that_is_about_to_take_the_pose_out_is_waited_for() -> None:
 
 
 @pytest.mark.parametrize(
+    ("gust_deg", "again_s"), [(0.6, 0.1), (1.4, 0.1), (1.6, 0.3)], ids=["out", "far out", "it may swing again"]
+)
+def test_a_pose_that_was_settled_is_settled_sooner_after_a_gust(gust_deg: float, again_s: float) -> None:
+    limits = SettleLimits(settle_s=0.3, max_rate_deg_s=500.0, max_gap_s=0.1, again_s=0.1)
+
+    def settled_s(gust_s: float) -> list[float]:
+        """Beginnings of the times in which it is settled."""
+        tracker, settled = SettleTracker(target=TARGET, limits=limits), [False]
+        for i in range(60):
+            now_s = 0.02 * i
+            tracker.add(reading_at(now_s, yaw=gust_deg if abs(now_s - gust_s) < 0.001 else 0.0))
+            settled.append(tracker.is_settled(now_s))
+        return [0.02 * i for i in range(60) if settled[i + 1] and not settled[i]]
+
+    assert settled_s(0.4) == pytest.approx([0.3, 0.42 + again_s])
+    assert settled_s(0.2) == pytest.approx([0.22 + 0.3]), "it was not settled yet"
+
+
+@pytest.mark.parametrize(
     ("interval_s", "gap_s"), [(math.nan, 0.1), (0.02, 0.1), (0.05, 0.125), (0.1, 0.25), (0.5, 0.25)]
 )
 def test_only_a_slow_stream_may_have_long_gaps(interval_s: float, gap_s: float) -> None:
