@@ -13,12 +13,23 @@ from panoexec.inputs.camera_profiles import CameraProfile, load_profile
 from panoexec.inputs.plan_file import read_plan_file, write_plan
 from panoexec.inputs.plan_options import PlanOptions
 from panoexec.inputs.plan_spec import PlanSpec
+from panoexec.inputs.skyline import skyline_of
 from panoexec.optics import Camera
 from panoexec.planning import model
 from panoexec.planning.baselines.published import PUBLISHED, published_plan
 from panoexec.planning.certificate.verdict import certify
 from panoexec.planning.make_plan import METHODS
-from panoexec.planning.model import AngleBox, Band, Certificate, Constraints, GimbalLimits, Guarantee, Timing, Tolerance
+from panoexec.planning.model import (
+    AngleBox,
+    Band,
+    Certificate,
+    Constraints,
+    GimbalLimits,
+    Guarantee,
+    Skyline,
+    Timing,
+    Tolerance,
+)
 from panoexec.planning.order.shot_order import ORDERS, Order
 from panoexec.planning.request import check_request
 
@@ -100,6 +111,7 @@ def plan(
     tolerance_deg: Tolerance | Mapping[str, float] | None = None,
     guarantee: Guarantee | None = None,
     masks: Sequence[Mask] | None = None,
+    textured_below: float | Sequence[tuple[float, float]] | None = None,
     gimbal: GimbalLimits | None = None,
     method: Literal["certified", "paper", "hdrpano"] = "certified",
     order: Order = "fastest",
@@ -120,6 +132,7 @@ def plan(
             0.1, 0.1 and 0.7, or 2.0 of yaw where the vehicle alone pans.
         guarantee: `coverage`: coverage and connectivity hold for every error; `all`: the overlaps too.
         masks: directions that need no coverage, such as the landing gear.
+        textured_below: where the sky begins, which ties no images: an elevation, or (azimuth, elevation) pairs.
         gimbal: limits and rates; a gimbal that reaches every pose by default.
         method: planner; `paper` and `hdrpano` are for comparison.
         order: of shooting.
@@ -150,6 +163,7 @@ def plan(
         tolerance_deg=tolerance_deg,
         guarantee=guarantee,
         masks=masks,
+        textured_below=textured_below,
     )
     options = replace(options, gimbal=gimbal, method=method, order=order, columns=columns, rows=rows)
     if budget_s is not None:
@@ -172,6 +186,7 @@ def verify(
     tolerance_deg: Tolerance | Mapping[str, float] | None = None,
     guarantee: Guarantee | None = None,
     masks: Sequence[Mask] | None = None,
+    textured_below: float | Sequence[tuple[float, float]] | None = None,
 ) -> Certificate:
     """Prove or refute a plan, whoever made it; what is not given comes from the plan, then from the defaults.
 
@@ -186,6 +201,7 @@ def verify(
         tolerance_deg: pointing errors that the plan must survive.
         guarantee: what must hold for every error.
         masks: directions that need no coverage.
+        textured_below: where the sky begins.
 
     Returns:
         The certificate: `certified`, or `failures` and `holes`.
@@ -208,6 +224,7 @@ def verify(
         tolerance_deg=tolerance_deg,
         guarantee=guarantee,
         masks=masks,
+        textured_below=textured_below,
     )
     used = plan.camera if camera is None else _optics(camera)[0]
     constraints = options.over(PlanSpec(camera=used, constraints=plan.constraints)).constraints
@@ -225,6 +242,7 @@ def _options(
     tolerance_deg: Tolerance | Mapping[str, float] | None,
     guarantee: Guarantee | None,
     masks: Sequence[Mask] | None,
+    textured_below: float | Sequence[tuple[float, float]] | None,
 ) -> PlanOptions:
     """What the arguments say of the constraints."""
     if guarantee is not None:
@@ -241,6 +259,7 @@ def _options(
         tolerance_yaw_deg=tolerance.get("yaw"),
         guarantee=guarantee,
         masks=None if masks is None else tuple(_mask(mask) for mask in masks),
+        textured_below=None if textured_below is None else _skyline(textured_below),
     )
 
 
@@ -288,3 +307,10 @@ def _pair(name: str, given: Range | None) -> Range | None:
 def _check_choice(name: str, value: str, choices: Sequence[str]) -> None:
     if value not in choices:
         raise UsageError(f"{name} {value!r} is not known: one of {', '.join(choices)}")
+
+
+def _skyline(value: float | Sequence[tuple[float, float]]) -> Skyline:
+    try:
+        return skyline_of(value)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"textured_below {error}") from error

@@ -17,6 +17,7 @@ from panoexec.cli.broker_options import add_broker_arguments, broker_of
 from panoexec.cli.numbers import number, positive, whole_number
 from panoexec.cli.output import print_json
 from panoexec.cli.requesting import ask, exit_code, plan_document, report_error
+from panoexec.errors import UsageError
 
 Data = dict[str, Any]
 
@@ -87,6 +88,7 @@ def _of_start(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--azimuth", type=number, nargs=2, metavar=("MIN", "MAX"), help="azimuth range to cover")
     for axis in ("pitch", "roll", "yaw"):
         group.add_argument(f"--tolerance-{axis}", type=number, metavar="DEG", help=f"maximum {axis} error")
+    group.add_argument("--textured-below", metavar="DEG|FILE", help="where the sky begins")
     group.add_argument("--guarantee", choices=("coverage", "all"), help="what holds for all errors within tolerance")
 
 
@@ -99,11 +101,24 @@ def _start_fields(args: argparse.Namespace) -> Data:
         "azimuth_deg": args.azimuth,
         "tolerance_deg": tolerance or None,
         "budget_s": args.budget,
+        "textured_below": _skyline(args.textured_below),
     }
     overlaps = ("overlap", "overlap_h", "overlap_v")
     for name in ("preset", "name", "camera", "reference", "method", "order", "guarantee", *overlaps):
         fields[name] = getattr(args, name)
     return {name: value for name, value in fields.items() if value is not None}
+
+
+def _skyline(text: str | None) -> float | list[list[float]] | None:
+    if text is None:
+        return None
+    # numpy, which these verbs do without otherwise
+    from panoexec.inputs.skyline import skyline_from_text, skyline_to_data  # noqa: PLC0415
+
+    try:
+        return skyline_to_data(skyline_from_text(text))
+    except ValueError as error:
+        raise UsageError(f"--textured-below {text} {error}") from error
 
 
 def _of_stop(parser: argparse.ArgumentParser) -> None:

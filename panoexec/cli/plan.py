@@ -129,6 +129,9 @@ def show_plan(
         facts.append(("lower bound", f"{plan.lower_bound} images (solid angle)"))
     if plan.estimate is not None:
         facts += _estimate_facts(plan.estimate, hover_min)
+    sky_alone = sum(shot.geometry_only for shot in plan.shots)
+    if sky_alone:
+        facts.append(("geometry only", f"{sky_alone} images see as good as sky alone: only their angles place them"))
     facts.append(("resolution", ", ".join(f"{camera.ground_resolution_cm(d):.2g} cm at {d:g} m" for d in distances_m)))
     if profile.min_interval_s:
         facts.append(("camera interval", f"{profile.min_interval_s:g} s at least"))

@@ -11,9 +11,10 @@ from panoexec.inputs.camera_profiles import CameraProfile, load_profile
 from panoexec.inputs.plan_file import PlanFile
 from panoexec.inputs.plan_options import PlanOptions
 from panoexec.inputs.plan_spec import PlanSpec
+from panoexec.inputs.skyline import skyline_from_text
 from panoexec.optics import Camera
 from panoexec.planning.make_plan import METHODS
-from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Timing, Tolerance, Turning
+from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Skyline, Timing, Tolerance, Turning
 from panoexec.planning.order.shot_order import ORDERS
 from panoexec.planning.search.budget import DEFAULT_BUDGET_S
 
@@ -94,6 +95,12 @@ def add_constraint_arguments(parser: argparse.ArgumentParser, *, of_file: bool =
         metavar=("E_MIN", "E_MAX", "A_MIN", "A_MAX"),
         help="region that needs no coverage, for example the landing gear (repeatable)",
     )
+    group.add_argument(
+        "--textured-below",
+        type=skyline,
+        metavar="DEG|FILE",
+        help="where the sky begins, which ties no images: an elevation, or a file of azimuths and elevations",
+    )
 
 
 def add_gimbal_arguments(parser: argparse.ArgumentParser) -> None:
@@ -166,6 +173,19 @@ def lens_in_words(camera: Camera) -> str:
     return ", ".join(parts)
 
 
+def skyline(text: str) -> Skyline:
+    """Where the sky begins: an elevation, or a file of pairs.
+
+    Raises:
+        argparse.ArgumentTypeError: the elevation is out of range.
+        InputFileError: the file cannot be read or is wrong.
+    """
+    try:
+        return skyline_from_text(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text} {error}") from error
+
+
 def profile_of(args: argparse.Namespace) -> CameraProfile:
     """The camera profile asked for."""
     return load_profile(args.camera, orientation=args.orientation, focal_length_mm=args.focal_length)
@@ -217,6 +237,7 @@ def _options_of(args: argparse.Namespace) -> PlanOptions:
         tolerance_yaw_deg=args.tolerance_yaw,
         guarantee=args.guarantee,
         masks=_masks(args) or None,
+        textured_below=args.textured_below,
         gimbal=_gimbal(args) if hasattr(args, "gimbal_pitch") else None,
         method=getattr(args, "method", None),
         order=getattr(args, "order", None),

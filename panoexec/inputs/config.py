@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError,
 
 from panoexec.azimuths import azimuth_range
 from panoexec.errors import InputFileError
+from panoexec.inputs.skyline import skyline_of
 from panoexec.inputs.validation import problem_lines, read_toml
 from panoexec.planning.search.budget import DEFAULT_BUDGET_S, MOST_BUDGET_S
 
@@ -30,6 +31,7 @@ _ORIGIN = re.compile(r"https?://([A-Za-z0-9_.-]{1,253}|\[[0-9A-Fa-f:.]+\])(:\d{1
 _HOST_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,252}")
 
 Positive: TypeAlias = Annotated[FiniteFloat, Field(gt=0)]
+SkyAt: TypeAlias = Annotated[FiniteFloat, Field(ge=-90, le=90)]
 NotNegative: TypeAlias = Annotated[FiniteFloat, Field(ge=0)]
 Fraction: TypeAlias = Annotated[FiniteFloat, Field(ge=0, le=1)]
 Overlap: TypeAlias = Annotated[FiniteFloat, Field(ge=0, lt=1)]
@@ -279,6 +281,7 @@ class MissionSection(Section):
     elevation_deg: Range = (-90.0, 30.0)
     azimuth_deg: Range = (-180.0, 180.0)
     guarantee: Literal["coverage", "all"] = "coverage"
+    textured_below: SkyAt | tuple[tuple[FiniteFloat, FiniteFloat], ...] | None = None
     budget_s: Annotated[float, Field(gt=0, le=MOST_BUDGET_S)] = DEFAULT_BUDGET_S
     reference: Literal["north", "heading"] = "north"
     order: Literal["fastest", "rows", "columns", "nadir-first", "sky-first"] = "fastest"
@@ -292,6 +295,15 @@ class MissionSection(Section):
     @classmethod
     def _azimuths(cls, value: Range) -> Range:
         azimuth_range(*value)
+        return value
+
+    @field_validator("textured_below")
+    @classmethod
+    def _a_skyline(
+        cls, value: float | tuple[tuple[float, float], ...] | None
+    ) -> float | tuple[tuple[float, float], ...] | None:
+        if value is not None:
+            skyline_of(value)
         return value
 
 

@@ -229,6 +229,7 @@ def plan_to_data(plan: Plan) -> dict[str, Any]:
         "shots": [
             {"index": shot.index, "row": shot.row, "pitch_deg": shot.pitch_deg, "yaw_deg": shot.yaw_deg}
             | ({"roll_deg": shot.roll_deg} if shot.roll_deg else {})
+            | ({"geometry_only": True} if shot.geometry_only else {})
             for shot in plan.shots
         ],
         "certificate": certificate_to_data(plan.certificate) if plan.certificate else None,

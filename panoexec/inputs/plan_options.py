@@ -11,11 +11,12 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, field_validator
 
 from panoexec.azimuths import azimuth_range
 from panoexec.inputs.lens_choice import with_lens
 from panoexec.inputs.plan_spec import PlanSpec
+from panoexec.inputs.skyline import MOST_POINTS, skyline_of, skyline_to_data
 from panoexec.optics import Camera, Lens
 from panoexec.planning.model import (
     AngleBox,
@@ -23,6 +24,7 @@ from panoexec.planning.model import (
     Constraints,
     GimbalLimits,
     Guarantee,
+    Skyline,
     Timing,
     Tolerance,
     Turning,
@@ -44,6 +46,20 @@ Finite: TypeAlias = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 Overlap: TypeAlias = Annotated[Finite, Field(ge=0, lt=1)]
 Degrees: TypeAlias = Annotated[Finite, Field(ge=-720, le=720)]
 Elevation: TypeAlias = Annotated[Finite, Field(ge=-90, le=90)]
+SkylinePoint: TypeAlias = tuple[Degrees, Elevation]
+
+
+def _is_a_skyline(value: float | tuple[SkylinePoint, ...]) -> float | tuple[SkylinePoint, ...]:
+    skyline_of(value)
+    return value
+
+
+SkylineField: TypeAlias = Annotated[
+    Elevation | Annotated[tuple[SkylinePoint, ...], Field(min_length=1, max_length=MOST_POINTS)],
+    AfterValidator(_is_a_skyline),
+]
+"""`textured_below`: an elevation, or (azimuth, elevation) pairs."""
+
 AxisTolerance: TypeAlias = Annotated[Finite, Field(ge=0, lt=90)]
 
 
@@ -66,6 +82,7 @@ class PlanOptions:
         tolerance_yaw_deg: largest pointing error in yaw.
         guarantee: what holds for every pointing error: `coverage`, or `all`, the overlaps too.
         masks: directions that need no coverage.
+        textured_below: where the sky begins: only what lies below it ties images.
         gimbal: where the gimbal can point, and how fast.
         method: planner.
         order: of shooting.
@@ -86,6 +103,7 @@ class PlanOptions:
     tolerance_yaw_deg: float | None = None
     guarantee: Guarantee | None = None
     masks: tuple[AngleBox, ...] | None = None
+    textured_below: Skyline | None = None
     gimbal: GimbalLimits | None = None
     method: str | None = None
     order: Order | None = None
@@ -132,6 +150,7 @@ class PlanOptions:
             ),
             guarantee=_said(self.guarantee, base.guarantee),
             masks=_said(self.masks, base.masks),
+            textured_below=_said(self.textured_below, base.textured_below),
             gimbal=_said(self.gimbal, _said(base.gimbal, defaults.gimbal)),
         )
 
@@ -190,6 +209,7 @@ class ConstraintsModel(PlanFileModel):
     tolerance_deg: ToleranceModel
     guarantee: Literal["coverage", "all"] = "coverage"
     masks: Annotated[tuple[MaskModel, ...], Field(max_length=1000)] = ()
+    textured_below: SkylineField | None = None
 
     @field_validator("elevation_deg")
     @classmethod
@@ -228,6 +248,7 @@ class ConstraintsModel(PlanFileModel):
                 )
                 for mask in self.masks
             ),
+            textured_below=None if self.textured_below is None else skyline_of(self.textured_below),
         )
 
 
@@ -252,6 +273,7 @@ def constraints_to_data(constraints: Constraints) -> dict[str, Any]:
             }
             for mask in constraints.masks
         ],
+        "textured_below": skyline_to_data(constraints.textured_below),
     }
 
 
@@ -284,6 +306,7 @@ def configured_spec(config: Config, profile: CameraProfile, limits: TurnLimits =
                 yaw_deg=pointing.tolerance_yaw_deg,
             ),
             guarantee=section.guarantee,
+            textured_below=None if section.textured_below is None else skyline_of(section.textured_below),
             gimbal=configured_gimbal(config, limits),
         ),
         method=section.method,

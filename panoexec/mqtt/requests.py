@@ -13,7 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator, mode
 
 from panoexec.azimuths import azimuth_range
 from panoexec.errors import PanoexecError
-from panoexec.inputs.plan_options import PlanOptions
+from panoexec.inputs.plan_options import PlanOptions, SkylineField
+from panoexec.inputs.skyline import skyline_of
 from panoexec.planning.search.budget import MOST_BUDGET_S
 
 MAX_PAYLOAD = 64 * 1024
@@ -130,6 +131,7 @@ class PlanRequest(Request):
         azimuth_deg: azimuth range to cover, clockwise from min to max.
         tolerance_deg: maximum pointing errors.
         guarantee: conditions that hold for all errors within tolerance: coverage only, or also the overlaps.
+        textured_below: where the sky begins, which ties no images: an elevation, or [azimuth, elevation] pairs.
         reference: direction of yaw 0: true north, or the vehicle's heading at the start.
         method: planning method.
         order: shooting order.
@@ -151,6 +153,7 @@ class PlanRequest(Request):
     azimuth_deg: Pair | None = None
     tolerance_deg: ToleranceFields | None = None
     guarantee: Literal["coverage", "all"] | None = None
+    textured_below: SkylineField | None = None
     reference: Literal["north", "heading"] | None = None
     method: Literal["certified", "paper"] | None = None
     order: Literal["fastest", "rows", "columns", "nadir-first", "sky-first"] | None = None
@@ -203,6 +206,7 @@ class PlanRequest(Request):
             tolerance_roll_deg=tolerance.roll,
             tolerance_yaw_deg=tolerance.yaw,
             guarantee=self.guarantee,
+            textured_below=None if self.textured_below is None else skyline_of(self.textured_below),
             method=self.method,
             order=self.order,
             budget_s=self.budget_s,

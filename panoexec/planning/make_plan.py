@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from panoexec.errors import PlanningError
 from panoexec.optics import Camera
+from panoexec.planning.certificate.texture import mark_geometry_only
 from panoexec.planning.certificate.verdict import certify
 from panoexec.planning.model import Constraints, GimbalLimits, Plan, Timing
 from panoexec.planning.order.duration import estimate
@@ -62,6 +63,7 @@ def make_plan(
 def finished(plan: Plan, timing: Timing, *, order: Order | None = None) -> Plan:
     """The plan with its shots ordered (unchanged if `order` is None), certified and estimated."""
     limits = plan.constraints.gimbal or GimbalLimits()
+    plan = replace(plan, shots=mark_geometry_only(plan.camera, plan.constraints, plan.shots))
     if order is not None:
         plan = replace(plan, shots=order_shots(plan.shots, limits, timing, order=order))
     return replace(

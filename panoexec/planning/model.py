@@ -96,6 +96,22 @@ def _set_range(box: Band | AngleBox) -> None:
     object.__setattr__(box, "azimuth_max_deg", end)
 
 
+@dataclass(frozen=True, slots=True)
+class Skyline:
+    """Where the sky begins, in which nothing can be matched: elevations by azimuth, linear between the points.
+
+    Attributes:
+        points: (azimuth, elevation), degrees, azimuths ascending in [-180, 180); one point for the same all round.
+    """
+
+    points: tuple[tuple[float, float], ...]
+
+    @staticmethod
+    def level(elevation_deg: float) -> Skyline:
+        """The same elevation all round."""
+        return Skyline(((0.0, elevation_deg),))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TurnLimits:
     """How fast an autopilot turns the vehicle on the spot; infinite: unknown.
@@ -198,6 +214,7 @@ class Constraints:
             every error.
         masks: boxes of the band that need no coverage (for example the landing gear).
         gimbal: the gimbal's limits, if known.
+        textured_below: C2 to C4 count only what lies below it; None: everything.
     """
 
     overlap_h: float
@@ -207,6 +224,7 @@ class Constraints:
     guarantee: Guarantee = "coverage"
     masks: tuple[AngleBox, ...] = ()
     gimbal: GimbalLimits | None = None
+    textured_below: Skyline | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -227,6 +245,8 @@ class Shot:
     pitch_deg: float
     yaw_deg: float
     roll_deg: float = 0.0
+    geometry_only: bool = False
+    """Whether it sees as good as sky alone, so that nothing but its angles places it in the panorama."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,7 @@ immediate neighbours alone, as in a single row of a sector. Three images that al
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,10 +121,15 @@ class SparseGraph:
     These are a spanning forest, and a spanning forest of the other edges. A cut that one or no edge of the graph
     crosses is crossed by the same edges here, and one that more edges cross by at least two (Nagamochi and Ibaraki
     1992). So the memory does not grow with the number of edges, which may be the square of the number of images.
+
+    Args:
+        count: number of images.
+        nodes: the images that are nodes of the graph; by default all. Edges must be between these.
     """
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, nodes: IntArray | None = None) -> None:
         self._count = count
+        self._nodes = nodes
         self._forests = [list(range(count)) for _ in range(2)]
         self._first: list[int] = []
         self._second: list[int] = []
@@ -142,7 +147,14 @@ class SparseGraph:
 
     def connection(self) -> Connection:
         """Components and bridges of the whole graph."""
-        return connection(self._count, np.array(self._first, dtype=np.intp), np.array(self._second, dtype=np.intp))
+        first, second = (np.array(ends, dtype=np.intp) for ends in (self._first, self._second))
+        if self._nodes is None or len(self._nodes) == self._count:
+            return connection(self._count, first, second)
+        place = np.full(self._count, -1)
+        place[self._nodes] = np.arange(len(self._nodes))
+        found = connection(len(self._nodes), place[first], place[second])
+        names = self._nodes.tolist()
+        return replace(found, bridges=tuple((names[a], names[b]) for a, b in found.bridges))
 
 
 def _root(parent: list[int], node: int) -> int:

@@ -10,6 +10,8 @@
   a row too.
 * **C4, the graph**: see `adjacency`, which also discusses plans of one and two images.
 
+With `textured_below` C2 to C4 count of each image only what lies below the skyline, see `texture`.
+
 Overlaps are exact at the planned poses (`panoexec.planning.geometry.overlap`) and bounded from below over all errors
 (`worst_overlap`). With the guarantee `coverage` C2 and C3 hold at the planned poses, with `all` for every combination
 of errors. An overlap that misses its threshold by 1e-9 is accepted; a hole is not, whatever its size.
@@ -31,6 +33,7 @@ from panoexec.planning.certificate.coverage import is_covered, neighbours
 from panoexec.planning.certificate.extra_images import certified_part
 from panoexec.planning.certificate.holes import Uncovered, uncovered
 from panoexec.planning.certificate.robust_footprint import robust_cores
+from panoexec.planning.certificate.texture import Texture
 from panoexec.planning.certificate.worst_overlap import (
     ErrorCorners,
     overlaps_at_least,
@@ -147,12 +150,31 @@ class _Overlaps:
         self._domain = domain
         self._angles = yaw_pitch_roll(poses)
         self._rows = Rows.of(rows, poses, constraints.band)
-        self._corners = ErrorCorners.of(camera, poses, constraints.tolerance)
+        self._texture = Texture.of(camera, poses, constraints.tolerance, constraints.textured_below)
+        self._tops = None if self._texture is None else self._texture.tops
+        self._corners = ErrorCorners.of(camera, poses, constraints.tolerance, self._tops)
         self._first, self._second = neighbours(robust_cores(camera, poses, NO_TOLERANCE))
+
+    def _counting(self, *images: IntArray) -> NDArray[np.bool_]:
+        """Which tuples of images (k,), (k,), … count for ties, all of them."""
+        if self._texture is None:
+            return np.ones(len(images[0]), dtype=bool)
+        return np.asarray(np.logical_and.reduce([self._texture.counts[i] for i in images]))
+
+    def _whole(self, a: IntArray, b: IntArray) -> FloatArray:
+        """What the overlaps of pairs are fractions of: the smaller of both images' parts that count, as a fraction."""
+        if self._texture is None:
+            return np.ones(np.broadcast_shapes(a.shape, b.shape))
+        return np.asarray(np.minimum(self._texture.shares[a], self._texture.shares[b]))
+
+    def _tops_of(self, images: IntArray) -> FloatArray | None:
+        return None if self._tops is None else self._tops[images]
 
     def in_row(self) -> _LeastOverlap:
         """C2: both ways for each pair of neighbours in a row."""
         first, second = self._rows.neighbours(self._constraints.band.is_full_circle)
+        counting = self._counting(first, second)
+        first, second = first[counting], second[counting]
         a, b = np.concatenate([first, second]), np.concatenate([second, first])
         planned, worst = self._pair_overlaps(a, b)
         if self._constraints.masks and len(first):
@@ -169,14 +191,17 @@ class _Overlaps:
         """C3: each image with the union of the row above and of the row below."""
         planned, worst, images = [], [], []
         for step in (1, -1):
-            own, partners, present = self._rows.partners(self._first, self._second, step)
+            own, partners, present = self._with_texture(*self._rows.partners(self._first, self._second, step))
             if not len(own):
                 continue
-            planned.append(self._unions(own, partners, present))
+            # of the smaller of the image's part that counts, and of the largest of its partners'
+            whole = np.where(present, self._whole(own[:, None], partners), 0.0).max(axis=1)
+            whole = np.where(present.any(axis=1), whole, 1.0)
+            planned.append(self._unions(own, partners, present) / whole)
             worst.append(
                 planned[-1]
                 if self._constraints.tolerance.is_zero
-                else np.minimum(worst_union_overlaps(self._corners, own, partners, present), planned[-1])
+                else np.minimum(worst_union_overlaps(self._corners, own, partners, present) / whole, planned[-1])
             )
             images.append(own)
         if not images:
@@ -187,25 +212,40 @@ class _Overlaps:
             planned=float(all_planned.min()), worst=float(all_worst.min()), images=(int(image[least]),)
         )
 
+    def _with_texture(
+        self, own: IntArray, partners: IntArray, present: NDArray[np.bool_]
+    ) -> tuple[IntArray, IntArray, NDArray[np.bool_]]:
+        """The images that count, with their partners that do; without those whose partners are geometry only."""
+        if self._texture is None:
+            return own, partners, present
+        counts = self._texture.counts
+        left = present & counts[partners]
+        kept = counts[own] & (left.any(axis=1) | ~present.any(axis=1))
+        return own[kept], partners[kept], left[kept]
+
     def _unions(self, own: IntArray, partners: IntArray, present: NDArray[np.bool_]) -> FloatArray:
         """The part (k,) of images that at least one of their partners (k, m) sees, at the planned poses."""
         parts = [
-            union_overlap(self._camera, self._poses[own[s]], self._poses[partners[s]], present[s])
+            union_overlap(
+                self._camera, self._poses[own[s]], self._poses[partners[s]], present[s], tops=self._tops_of(own[s])
+            )
             for s in _slices(len(own), max(1, _PAIRS_AT_A_TIME // partners.shape[1]))
         ]
         return np.concatenate(parts)
 
     def graph(self) -> Connection:
         """C4: the graph of the pairs with at least 5 % mutual overlap for every error."""
-        once = self._first < self._second
+        once = (self._first < self._second) & self._counting(self._first, self._second)
         a, b = self._first[once], self._second[once]
-        sure, unsure = SparseGraph(len(self._poses)), []
+        nodes = np.nonzero(self._counting(np.arange(len(self._poses))))[0]
+        sure, unsure = SparseGraph(len(self._poses), nodes), []
         for some in _slices(len(a), _PAIRS_AT_A_TIME):
             one, other = self._sharing(a[some], b[some])
             if self._constraints.tolerance.is_zero:
                 sure.add(one, other)
                 continue
-            certain = self._both_ways(one, other, partial(overlaps_at_least, self._corners, least=MUTUAL_OVERLAP)) > 0
+            least = np.tile(MUTUAL_OVERLAP * self._whole(one, other), 2)
+            certain = self._both_ways(one, other, partial(overlaps_at_least, self._corners, least=least)) > 0
             sure.add(one[certain], other[certain])
             unsure.append((one[~certain], other[~certain]))
         quick = sure.connection()
@@ -213,15 +253,19 @@ class _Overlaps:
             return quick
         for one, other in unsure:
             worst = self._both_ways(one, other, partial(worst_pair_overlaps, self._corners))
-            certain = worst >= MUTUAL_OVERLAP - THRESHOLD_SLACK
+            certain = worst / self._whole(one, other) >= MUTUAL_OVERLAP - THRESHOLD_SLACK
             sure.add(one[certain], other[certain])
         return sure.connection()
 
     def _sharing(self, a: IntArray, b: IntArray) -> tuple[IntArray, IntArray]:
         """Those of some pairs that share enough for an edge at the planned poses."""
-        planned = self._both_ways(a, b, lambda i, j: pairwise_overlap(self._camera, self._poses[i], self._poses[j]))
-        near = planned >= MUTUAL_OVERLAP - THRESHOLD_SLACK
+        planned = self._both_ways(a, b, self._planned)
+        near = planned / self._whole(a, b) >= MUTUAL_OVERLAP - THRESHOLD_SLACK
         return a[near], b[near]
+
+    def _planned(self, a: IntArray, b: IntArray) -> FloatArray:
+        """The part (k,) of images a that images b see, at the planned poses."""
+        return pairwise_overlap(self._camera, self._poses[a], self._poses[b], tops=self._tops_of(a))
 
     @staticmethod
     def _both_ways(a: IntArray, b: IntArray, shared: Callable[[IntArray, IntArray], ArrayLike]) -> FloatArray:
@@ -232,13 +276,16 @@ class _Overlaps:
     def _pair_overlaps(self, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray]:
         """Planned and worst overlaps; pairs with equal attitudes and equal yaw difference are computed once."""
         yaw, pitch, roll = self._angles
-        marks = np.stack([pitch[a], roll[a], pitch[b], roll[b], (yaw[b] - yaw[a]) % 360.0], axis=1)
+        marks = np.stack([pitch[a], roll[a], pitch[b], roll[b], (yaw[b] - yaw[a]) % 360.0, self._whole(a, b)], axis=1)
+        if self._tops is not None:
+            marks = np.column_stack([marks, self._tops[a], self._tops[b]])
         _, first, which = np.unique(np.round(marks, 9), axis=0, return_index=True, return_inverse=True)
         a, b, which = a[first], b[first], which.reshape(-1)
-        planned = pairwise_overlap(self._camera, self._poses[a], self._poses[b])
+        whole = self._whole(a, b)
+        planned = self._planned(a, b) / whole
         if self._constraints.tolerance.is_zero:
             return planned[which], planned[which]
-        return planned[which], np.minimum(worst_pair_overlaps(self._corners, a, b), planned)[which]
+        return planned[which], np.minimum(worst_pair_overlaps(self._corners, a, b) / whole, planned)[which]
 
     def _apart(self, first: IntArray, second: IntArray) -> NDArray[np.bool_]:
         yaw, pitch, roll = self._angles

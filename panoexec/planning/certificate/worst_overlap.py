@@ -27,12 +27,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from panoexec.angles import FloatArray, rotation, yaw_pitch_roll
 from panoexec.optics import Camera
 from panoexec.planning.geometry.footprint import edge_normals, rectangle
-from panoexec.planning.geometry.overlap import clip, half_planes, polygon_area
+from panoexec.planning.geometry.overlap import clip, cropped, half_planes, polygon_area
 from panoexec.planning.model import Tolerance
 
 _NUMBERS_AT_A_TIME = 1 << 15
@@ -51,21 +51,29 @@ class ErrorCorners:
         rotations: (n, 3, 3) camera-to-world rotations without error.
         extreme: (n, c, 3, 3) at the c corners of the error box; c = 2^k for k axes with a tolerance above 0.
         tolerance: half the size of the box.
+        tops: (n,) where the images are cropped, see `panoexec.planning.certificate.texture`; None: nowhere. The line is
+            fixed in each image, so it does not move with errors.
     """
 
     camera: Camera
     rotations: FloatArray
     extreme: FloatArray
     tolerance: Tolerance
+    tops: FloatArray | None = None
 
     @staticmethod
-    def of(camera: Camera, rotations: FloatArray, tolerance: Tolerance) -> ErrorCorners:
+    def of(camera: Camera, rotations: FloatArray, tolerance: Tolerance, tops: FloatArray | None = None) -> ErrorCorners:
         """The images at the corners of their error boxes."""
         yaw, pitch, roll = yaw_pitch_roll(rotations)
         taus = (tolerance.yaw_deg, tolerance.pitch_deg, tolerance.roll_deg)
         signs = np.array(list(itertools.product(*((-t, t) if t else (0.0,) for t in taus))))
         extreme = rotation(yaw[:, None] + signs[:, 0], pitch[:, None] + signs[:, 1], roll[:, None] + signs[:, 2])
-        return ErrorCorners(camera=camera, rotations=rotations, extreme=extreme, tolerance=tolerance)
+        return ErrorCorners(camera=camera, rotations=rotations, extreme=extreme, tolerance=tolerance, tops=tops)
+
+    def clipped(self, images: NDArray[np.intp], planes: FloatArray) -> FloatArray:
+        """Images (p,), cropped, clipped to half-planes (p, k, 3)."""
+        whole = np.broadcast_to(rectangle(self.camera), (len(planes), 4, 2))
+        return clip(whole if self.tops is None else cropped(whole, self.tops[images]), planes)
 
     @property
     def pairs_at_a_time(self) -> int:
@@ -94,29 +102,30 @@ def worst_pair_overlaps(corners: ErrorCorners, first: NDArray[np.intp], second: 
         some = slice(start, start + corners.pairs_at_a_time)
         a, b = first[some], second[some]
         planes = half_planes(corners.rotations[a], corners.rotations[b], corners.camera)
-        seen = _clipped(corners.camera, planes)
+        seen = corners.clipped(a, planes)
         losses = _losses(corners, a, b, planes, seen)
         out[some] = (polygon_area(seen) - losses.max(axis=(1, 2), initial=0.0)) / whole
     return np.clip(out, 0.0, 1.0)
 
 
 def overlaps_at_least(
-    corners: ErrorCorners, first: NDArray[np.intp], second: NDArray[np.intp], least: float
+    corners: ErrorCorners, first: NDArray[np.intp], second: NDArray[np.intp], least: ArrayLike
 ) -> NDArray[np.bool_]:
-    """Whether each first image (p,) shares at least a fraction with the second, by a fast but rough bound.
+    """Whether each first image (p,) shares at least a fraction (p,) of an image with the second, by a rough bound.
 
     Each edge of B moves by at most `ErrorCorners.first_order`, so it removes from the part of A that B sees at most a
     strip of that width along the whole part.
     """
-    parts = [_surely_share(corners, first[s], second[s], least) for s in _slices(len(first), _ROUGH_AT_A_TIME)]
+    least = np.broadcast_to(np.asarray(least, dtype=np.float64), len(first))
+    parts = [_surely_share(corners, first[s], second[s], least[s]) for s in _slices(len(first), _ROUGH_AT_A_TIME)]
     return np.concatenate(parts) if parts else np.empty(0, dtype=bool)
 
 
 def _surely_share(
-    corners: ErrorCorners, first: NDArray[np.intp], second: NDArray[np.intp], least: float
+    corners: ErrorCorners, first: NDArray[np.intp], second: NDArray[np.intp], least: FloatArray
 ) -> NDArray[np.bool_]:
     planes = half_planes(corners.rotations[first], corners.rotations[second], corners.camera)
-    seen = _clipped(corners.camera, planes)
+    seen = corners.clipped(first, planes)
     length = np.maximum(np.hypot(planes[..., 1], planes[..., 2]), 1e-12)
     reach = math.sqrt(1 + corners.camera.half_width**2 + corners.camera.half_height**2)
     strip = corners.first_order * reach / length
@@ -160,7 +169,7 @@ def _worst_unions(
     boresights = corners.rotations[:, :, 0]
     nearer = (boresights[b][:, None] - boresights[partners[row]]) @ corners.rotations[a]
     nearer = np.where(present[row][..., None], nearer, np.array([1.0, 0.0, 0.0]))
-    parts = _clipped(corners.camera, np.concatenate([own, nearer], axis=1))
+    parts = corners.clipped(a, np.concatenate([own, nearer], axis=1))
     # the entry of the image itself in `nearer` is a zero row: 0 ≥ 0 removes nothing
     losses = np.concatenate(
         [
@@ -177,10 +186,6 @@ def _worst_unions(
 
 def _slices(count: int, size: int) -> list[slice]:
     return [slice(start, start + size) for start in range(0, count, size)]
-
-
-def _clipped(camera: Camera, planes: FloatArray) -> FloatArray:
-    return clip(np.broadcast_to(rectangle(camera), (len(planes), 4, 2)), planes)
 
 
 def _losses(

@@ -31,7 +31,11 @@ _AT_A_TIME = 4096
 
 
 def pairwise_overlap(
-    camera_a: Camera, rotations_a: ArrayLike, rotations_b: ArrayLike, camera_b: Camera | None = None
+    camera_a: Camera,
+    rotations_a: ArrayLike,
+    rotations_b: ArrayLike,
+    camera_b: Camera | None = None,
+    tops: FloatArray | None = None,
 ) -> FloatArray:
     """Fraction of the area of each image A that its image B sees too.
 
@@ -40,6 +44,7 @@ def pairwise_overlap(
         rotations_a: camera-to-world rotations (..., 3, 3).
         rotations_b: likewise; broadcasts with `rotations_a`.
         camera_b: the camera of images B; by default the same camera.
+        tops: (n,) where images A are cropped: only what lies below this line (z down) counts; by default nowhere.
 
     Returns:
         (...), in [0, 1].
@@ -47,11 +52,11 @@ def pairwise_overlap(
     planes = half_planes(rotations_a, rotations_b, camera_b or camera_a)
     shape = planes.shape[:-2]
     planes = planes.reshape(-1, 4, 3)
-    if len(planes) <= _FEW:
+    if len(planes) <= _FEW and tops is None:
         return np.array([_overlap_of_one(camera_a, own) for own in planes.tolist()]).reshape(shape)
     areas = [
-        polygon_area(clip_footprints(camera_a, planes[start : start + _AT_A_TIME]))
-        for start in range(0, len(planes), _AT_A_TIME)
+        polygon_area(clip(_rectangles(camera_a, len(planes[some]), None if tops is None else tops[some]), planes[some]))
+        for some in (slice(start, start + _AT_A_TIME) for start in range(0, len(planes), _AT_A_TIME))
     ]
     area = np.concatenate(areas) if areas else np.empty(0)
     return np.minimum(area / camera_a.image_area, 1.0).reshape(shape)
@@ -85,6 +90,8 @@ def union_overlap(
     rotations_b: ArrayLike,
     present: ArrayLike | None = None,
     camera_b: Camera | None = None,
+    *,
+    tops: FloatArray | None = None,
 ) -> FloatArray:
     """Fraction of the area of each image A that at least one of its partners B sees.
 
@@ -94,15 +101,17 @@ def union_overlap(
         rotations_b: of each image's m partners, (n, m, 3, 3).
         present: (n, m), False where a partner is padding.
         camera_b: the camera of images B; by default the same camera.
+        tops: (n,) where images A are cropped, as in `pairwise_overlap`.
 
     Returns:
         (n,), in [0, 1].
     """
     r_a = np.asarray(rotations_a, dtype=np.float64)
     planes = half_planes(r_a[:, None], rotations_b, camera_b or camera_a)
-    pieces, owners = subtract(_rectangles(camera_a, len(r_a)), planes, present)
+    own = _rectangles(camera_a, len(r_a), tops)
+    pieces, owners = subtract(own, planes, present)
     missing = np.bincount(owners, polygon_area(pieces), len(r_a))
-    whole = 4 * camera_a.half_width * camera_a.half_height
+    whole = polygon_area(own)
     return np.clip((whole - missing) / camera_a.image_area, 0.0, 1.0)
 
 
@@ -291,8 +300,16 @@ def _polygon_planes(polygon: FloatArray) -> FloatArray:
     return np.asarray(planes * np.where(inside.sum() >= 0, 1.0, -1.0))
 
 
-def _rectangles(camera: Camera, n: int) -> FloatArray:
-    return np.broadcast_to(rectangle(camera), (n, 4, 2))
+def _rectangles(camera: Camera, n: int, tops: FloatArray | None = None) -> FloatArray:
+    whole = np.broadcast_to(rectangle(camera), (n, 4, 2))
+    return whole if tops is None else cropped(whole, tops)
+
+
+def cropped(rectangles: FloatArray, tops: FloatArray) -> FloatArray:
+    """Images as polygons (n, 4, 2) without what lies above the lines (n,)."""
+    out = rectangles.copy()
+    out[:, :2, 1] = tops[:, None]
+    return out
 
 
 def _stack(groups: Sequence[FloatArray]) -> FloatArray:

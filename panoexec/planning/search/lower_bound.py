@@ -33,6 +33,8 @@ def least_images(camera: Camera, constraints: Constraints) -> int:
     certain = math.ceil(domain / core - 1e-9) if core > 0 else 1
     if certain <= 1 and domain <= camera.solid_angle_sr:
         return 1
+    if constraints.textured_below is not None:
+        return max(certain, 1)  # images of the sky alone need not overlap
     least_overlap = min(constraints.overlap_h, constraints.overlap_v)
     if constraints.masks:
         # neighbours separated by a mask need no overlap, but then C4 requires an overlap with some other image

@@ -21,6 +21,7 @@ import numpy as np
 from panoexec.angles import rotation
 from panoexec.errors import PlanningError
 from panoexec.optics import Camera
+from panoexec.planning.certificate.texture import mark_geometry_only
 from panoexec.planning.certificate.verdict import THRESHOLD_SLACK, certify, certify_poses
 from panoexec.planning.model import Certificate, Constraints, GimbalLimits, Plan, Shot, Timing
 from panoexec.planning.order.duration import estimate
@@ -58,6 +59,9 @@ _MORE_WORK, _LEAST_WORK_ON = 2.0, 1500
 
 _SET_UP_WORK = 400
 """What it takes to begin with other demands, as work."""
+
+_ONLY_FOR_TIES = 2
+"""From this group on demands are for C4 alone; their rows stay within the band."""
 
 _LAST_GROUP_ON = 3
 """Variants that are tried for fewer images: stronger demands than these seldom need fewer."""
@@ -106,7 +110,7 @@ def plan_certified(
     found = _Planner(camera, constraints, SearchBudget(budget_s)).best(enough=bound)
     limits, costs = constraints.gimbal or GimbalLimits(), timing or Timing()
     check_reachable(found.shots, constraints.gimbal)
-    shots = order_shots(found.shots, limits, costs, order=order or "fastest")
+    shots = order_shots(mark_geometry_only(camera, constraints, found.shots), limits, costs, order=order or "fastest")
     plan = Plan(
         method="certified",
         camera=camera,
@@ -201,9 +205,14 @@ class _Planner:
             if (self._best_images is not None and variant.group > group) or self._many_certified:
                 break
             group = variant.group
-            closes = self._try_variant(constraints, variant) or closes
+            closes = self._try_variant(constraints, variant, within_band=group >= _ONLY_FOR_TIES) or closes
             if not closes and group == 1:
                 break  # all other variants have stronger demands
+        if closes and self._best_images is None and not self._many_certified:
+            # rows beyond the band's ends, which only tie others, where nothing else is certified
+            for variant in variants(self._camera, constraints):
+                if variant.group >= _ONLY_FOR_TIES and self._best_images is None:
+                    self._try_variant(constraints, variant)
         return group
 
     def _search_on(self, enough: int, group: int) -> None:
@@ -222,12 +231,14 @@ class _Planner:
                     return
                 if images is not None and variant.group > _LAST_GROUP_ON:
                     break
-                self._try_variant(constraints, variant)
+                self._try_variant(constraints, variant, within_band=variant.group >= _ONLY_FOR_TIES)
 
-    def _try_variant(self, constraints: Constraints, variant: Variant) -> bool:
-        """`_try` with the demands of a variant."""
+    def _try_variant(self, constraints: Constraints, variant: Variant, *, within_band: bool = False) -> bool:
+        """`_try` with the demands of a variant, and with no row outside the band, if its images only tie others."""
         self._budget.use(_SET_UP_WORK)
-        rules = RowConstraints(self._camera, constraints, variant.demands, variant.loss, budget=self._budget)
+        rules = RowConstraints(
+            self._camera, constraints, variant.demands, variant.loss, budget=self._budget, within_band=within_band
+        )
         return self._try(rules)
 
     def _try(self, rules: RowConstraints) -> bool:

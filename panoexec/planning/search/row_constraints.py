@@ -74,6 +74,7 @@ class RowConstraints:
         loss: Loss | None = None,
         *,
         budget: SearchBudget | None = None,
+        within_band: bool = False,
     ) -> None:
         self.camera = camera
         self._budget = budget
@@ -81,6 +82,10 @@ class RowConstraints:
         self._constraints = constraints
         self.pitch_deg = reachable_pitch(constraints.gimbal)
         self.band_deg = constraints.band.elevation_min_deg, constraints.band.elevation_max_deg
+        self._within_band = within_band
+        inside = max(self.pitch_deg[0], self.band_deg[0]), min(self.pitch_deg[1], self.band_deg[1])
+        if within_band and inside[0] <= inside[1]:
+            self.pitch_deg = inside
         self._spacing = NeighbourSpacing(camera, demands.neighbours)
         self.layout = RowLayout(constraints, self._spacing.widest)
         self._cover = RowCover(camera, constraints.tolerance)
@@ -133,7 +138,9 @@ class RowConstraints:
 
     def _with_neighbours(self, neighbours: NeighbourDemand) -> RowConstraints:
         demands = replace(self.demands, neighbours=neighbours)
-        return RowConstraints(self.camera, self._constraints, demands, self._loss, budget=self._budget)
+        return RowConstraints(
+            self.camera, self._constraints, demands, self._loss, budget=self._budget, within_band=self._within_band
+        )
 
     def band(self, pitch_deg: FloatArray, count: IntArray) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest elevation that rows cover at all azimuths for every error, each (k,)."""

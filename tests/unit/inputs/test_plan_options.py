@@ -18,7 +18,7 @@ from panoexec.inputs.plan_options import PlanOptions, configured_gimbal, configu
 from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.optics import Camera, Lens
 from panoexec.planning.baselines.published import published_plan
-from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Timing, Tolerance, Turning
+from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Skyline, Timing, Tolerance, Turning
 
 CAMERAS = [load_profile(name).camera for name in ("dji-x5s-15mm", "dji-x5s-45mm", "sony-a6000-35mm")]
 
@@ -28,6 +28,7 @@ cameras = st.sampled_from(CAMERAS)
 fractions = st.floats(0, 0.9)
 pairs = st.tuples(st.floats(-90, 0), st.floats(1, 90))
 errors = st.floats(0, 40)
+skylines = st.builds(Skyline.level, st.floats(-90, 90))
 guarantees = st.sampled_from(["coverage", "all"])
 boxes = st.builds(
     lambda low, high: AngleBox(elevation_min_deg=low, elevation_max_deg=high, azimuth_min_deg=0, azimuth_max_deg=90),
@@ -53,6 +54,7 @@ VALUES: dict[str, st.SearchStrategy[Any]] = {
     "tolerance_yaw_deg": errors,
     "guarantee": guarantees,
     "masks": masks,
+    "textured_below": skylines,
     "gimbal": limits,
     "method": methods,
     "order": orders,
@@ -80,6 +82,7 @@ constraints = st.builds(
     guarantee=guarantees,
     masks=masks,
     gimbal=st.none(),
+    textured_below=st.none() | skylines,
 )
 specs = st.builds(
     PlanSpec,
@@ -113,6 +116,7 @@ READ: dict[str, Callable[[PlanSpec], object]] = {
     "tolerance_yaw_deg": lambda spec: spec.constraints.tolerance.yaw_deg,
     "guarantee": lambda spec: spec.constraints.guarantee,
     "masks": lambda spec: spec.constraints.masks,
+    "textured_below": lambda spec: spec.constraints.textured_below,
     "gimbal": lambda spec: spec.constraints.gimbal,
     "method": lambda spec: spec.method,
     "order": lambda spec: spec.order,

@@ -74,7 +74,7 @@ def test_a_camera_rolled_by_a_right_angle_is_the_camera_mounted_so() -> None:
 
 
 def test_a_rolled_plan_is_not_flown_and_exports_keep_its_roll(plan: Plan, tmp_path: Path) -> None:
-    changed = rolled(plan, 1, 12.0)
+    changed = rolled(plan, 2, 12.0)
     with pytest.raises(PlanningError, match=r"has roll_deg 12, as have \d+ of \d+: gimbals are commanded with roll 0"):
         PlanSpec(camera=X5S_15MM, constraints=CONSTRAINTS, given=changed).plan()
     with pytest.raises(UsageError, match="rolled by 12"):
