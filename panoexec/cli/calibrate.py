@@ -5,7 +5,8 @@ axis, the bias and the spread of the measurement, the largest pointing error as 
 contains both together, for the next plan. Ties tell nothing about a heading error that all photos share.
 
 If the photos are still in the mission directories, they are matched again and the lens is adjusted with them:
-calibrated focal length and radial distortion, as proposals for the camera profile.
+calibrated focal length, radial distortion, principal point where they tell it, and the margin for what stays unknown,
+as keys for the camera profile.
 
 Exit code 1: too few tied photos.
 
@@ -82,12 +83,16 @@ def _lens(missions: Sequence[tuple[Mapping[str, Any], Path]]) -> LensProposal | 
 def _lens_json(lens: LensProposal | None) -> dict[str, Any] | None:
     if lens is None:
         return None
+    point = lens.principal_point_px
     return {
         "calibrated_focal_length_mm": round(lens.focal_length_mm, 4),
         "focal_sigma_mm": round(lens.focal_sigma_mm, 4),
         "distortion": {"k1": round(lens.k1, 5), "k2": round(lens.k2, 5)},
         "k1_sigma": round(lens.k1_sigma, 5),
         "k2_sigma": round(lens.k2_sigma, 5),
+        "principal_point_px": None if point is None else [round(value, 1) for value in point],
+        "principal_sigma_px": [round(value, 1) for value in lens.principal_sigma_px],
+        "fov_margin": lens.fov_margin,
         "points": lens.points,
         "missions": lens.missions,
     }
@@ -104,9 +109,23 @@ def _print_lens(lens: LensProposal | None) -> None:
             ("calibrated_focal_length_mm", f"{lens.focal_length_mm:.3f}", f"{lens.focal_sigma_mm:.3f}"),
             ("distortion k1", f"{lens.k1:+.4f}", f"{lens.k1_sigma:.4f}"),
             ("distortion k2", f"{lens.k2:+.4f}", f"{lens.k2_sigma:.4f}"),
+            ("principal_point_px", *_point(lens)),
+            ("fov_margin", f"{lens.fov_margin:.3f}", ""),
         ),
         left=("proposal for the profile",),
     )
+    print(f"calibrated_focal_length_mm = {lens.focal_length_mm:.3f}")
+    print(f"distortion = {{ k1 = {lens.k1:.4f}, k2 = {lens.k2:.4f} }}")
+    if lens.principal_point_px is not None:
+        print("principal_point_px = [{:.1f}, {:.1f}]".format(*lens.principal_point_px))
+    print(f"fov_margin = {lens.fov_margin:.3f}")
+
+
+def _point(lens: LensProposal) -> tuple[str, str]:
+    sigma = "{:.1f}, {:.1f}".format(*lens.principal_sigma_px)
+    if lens.principal_point_px is None:
+        return "the middle", sigma
+    return "{:.1f}, {:.1f}".format(*lens.principal_point_px), sigma
 
 
 def _plain(values: dict[str, float]) -> dict[str, float | None]:

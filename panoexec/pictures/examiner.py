@@ -20,6 +20,7 @@ from panoexec.pictures.judgement import Limits, Pair, Subject, judge
 from panoexec.pictures.lens import LensFit, fit_lens
 from panoexec.pictures.matching import SEARCH_DEG, Tie, View, tie
 from panoexec.pictures.model import BAD, BridgePose, Content, PhotoToCheck, Verdicts
+from panoexec.pictures.straighten import stored_pixels, straightened
 from panoexec.planning.geometry.overlap import pairwise_overlap
 
 EXAMINED_PX: Final = 1000
@@ -119,10 +120,10 @@ class Examiner:
         return self._ties
 
     def focal_px(self) -> float:
-        """Nominal focal length at the scale of the examination; NaN before the first readable photo."""
+        """Focal length that counts at the scale of the examination; NaN before the first readable photo."""
         for photo in self._photos.values():
             if photo.features is not None:
-                return photo.features.size[0] / (2 * self._camera.half_width)
+                return photo.features.size[0] / (2 * self._camera.pinhole_half_width)
         return float("nan")
 
     def size_px(self) -> tuple[int, int] | None:
@@ -154,7 +155,8 @@ class Examiner:
         if max(decoded.grey.shape) < LEAST_PX:
             own.problem = (Content.UNCHECKED, f"{size[0]} x {size[1]} px are too few to be examined")
             return
-        features = features_of(decoded.grey)
+        grey = straightened(decoded.grey, self._camera)
+        features = features_of(grey)
         own.problem = _own_exposure(features.exposure)
         own.digest = hashlib.sha256(decoded.grey.tobytes()).digest()
         own.features = features
@@ -213,7 +215,7 @@ class Examiner:
             width, height = features.size
             places = features.corners[features.strength >= DISTINCT_CORNER]
             centre = np.array([(width - 1) / 2, (height - 1) / 2])
-            focal = np.full((len(places), 1), width / (2 * self._camera.half_width))
+            focal = np.full((len(places), 1), width / (2 * self._camera.pinhole_half_width))
             rays = np.concatenate([focal, places - centre], axis=1)
             # an untied photo is a group of its own
             banks[shot] = Bank(rotation=own.photo.rotation, rays=rays, group=group.get(shot, -1 - number))
@@ -239,12 +241,17 @@ class Examiner:
     # --- the focal length
 
     def lens(self) -> LensFit | None:
-        """The lens as the agreeing ties see it, relative to the nominal one; None with too few points."""
+        """The whole lens as the agreeing ties see it, its focal length relative to the stated one; None with few points."""
         size = self.size_px()
         if size is None:
             return None
         bad = {found.shot for found in self.verdicts(final=True).bad}
-        return self._fitted({pair: tie for pair, tie in self._ties.items() if not bad & set(pair)}, self.focal_px())
+        stored = {
+            pair: replace(tie, pixels=stored_pixels(tie.pixels.reshape(-1, 2, 2), self._camera, size).reshape(-1, 4))
+            for pair, tie in self._ties.items()
+            if not bad & set(pair)
+        }
+        return self._fitted(stored, self.focal_px())
 
     def _fitted(self, ties: Mapping[Pair, Tie], focal_px: float) -> LensFit | None:
         width, height = self.size_px() or (1, 1)
@@ -299,7 +306,7 @@ class Examiner:
         if own.packed:
             grey = np.asarray(PIL.Image.open(io.BytesIO(own.packed)))
             own.features, own.packed = replace(own.features, grey=grey), b""
-        focal = self._focal_ratio * own.features.size[0] / (2 * self._camera.half_width)
+        focal = self._focal_ratio * own.features.size[0] / (2 * self._camera.pinhole_half_width)
         return View(features=own.features, rotation=own.photo.rotation, focal_px=focal, place=own.photo.place)
 
     def _make_room(self) -> None:

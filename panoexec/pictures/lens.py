@@ -1,7 +1,8 @@
 """The lens from the ties of a mission: focal length and radial distortion, by an adjustment of all photos together.
 
-Unknown are a rotation of each photo, the gimbal's constant errors of pitch and roll, the focal length and k1 and k2 of
-Brown and Conrady, in coordinates of the ideal image at unit distance: r_d = r · (1 + k1 r² + k2 r⁴). A ring of photos
+Unknown are a rotation of each photo, the gimbal's constant errors of pitch and roll, the focal length, k1 and k2 of
+Brown and Conrady, in coordinates of the ideal image at unit distance: r_d = r · (1 + k1 r² + k2 r⁴), and the principal
+point, which one row of photos hardly tells from a constant error. A ring of photos
 closes at 360°, and the measured attitudes say how far apart rows are: both give the focal length a scale. Residuals are
 weighted robustly (Cauchy).
 """
@@ -28,6 +29,9 @@ _YAW_DEG: Final = 0.8
 _BIAS_DEG: Final = 0.5
 _FOCAL_SIGMA: Final = 0.03
 _RADIAL_SIGMA: Final = (0.1, 0.1)
+_CENTRE_SIGMA: Final = (0.02, 0.02)
+_UNKNOWNS: Final = 5
+"""Of the lens."""
 _FLOOR_PX: Final = 0.05
 
 
@@ -36,9 +40,10 @@ class LensFit:
     """The lens as the ties see it.
 
     Attributes:
-        focal_ratio: true focal length over the nominal one.
+        focal_ratio: true focal length over the stated one.
         k1, k2: radial distortion.
-        focal_sigma, k1_sigma, k2_sigma: their standard deviations.
+        centre: principal point, from the middle of the photo to the right and down, in true focal lengths.
+        focal_sigma, k1_sigma, k2_sigma, centre_sigma: their standard deviations.
         points: how many matched points it rests on.
         rms_px: their residual, pixels at the scale of the examination.
     """
@@ -46,9 +51,11 @@ class LensFit:
     focal_ratio: float
     k1: float
     k2: float
+    centre: tuple[float, float]
     focal_sigma: float
     k1_sigma: float
     k2_sigma: float
+    centre_sigma: tuple[float, float]
     points: int
     rms_px: float
 
@@ -58,7 +65,7 @@ class _State:
     rotations: FloatArray
     bias: FloatArray
     lens: FloatArray
-    """log of the focal ratio, k1, k2."""
+    """log of the focal ratio, k1, k2, principal point right and down."""
 
 
 def fit_lens(
@@ -69,7 +76,7 @@ def fit_lens(
     Args:
         ties: that agree with each other, by shots.
         rotations: measured attitudes (3, 3), camera to world.
-        focal_px: nominal focal length at the scale of the examination.
+        focal_px: stated focal length at the scale of the examination.
         centre: (2,) principal point there.
     """
     used = {pair: tie for pair, tie in ties.items() if tie.tied and tie.parallax_deg == 0}
@@ -99,7 +106,7 @@ class _Problem:
 
     def solve(self) -> LensFit:
         count = len(self._measured)
-        state = _State(self._measured.copy(), np.zeros(2), np.zeros(3))
+        state = _State(self._measured.copy(), np.zeros(2), np.zeros(_UNKNOWNS))
         for _ in range(_ROUNDS):
             normal, side, _ = self._equations(state)
             step = np.linalg.solve(normal, side)
@@ -113,41 +120,44 @@ class _Problem:
         size = np.linalg.norm(residual, axis=1)
         rms = float(np.sqrt(np.mean(size[size < 3 * _SCALE_PX] ** 2)))
         covariance = np.linalg.inv(normal)
-        sigma = np.sqrt(np.diag(covariance)[-3:])
-        focal, k1, k2 = (float(value) for value in state.lens)
+        sigma = np.sqrt(np.diag(covariance)[-_UNKNOWNS:])
+        focal, k1, k2, right, down = (float(value) for value in state.lens)
         return LensFit(
             focal_ratio=float(np.exp(focal)),
             k1=k1,
             k2=k2,
+            centre=(right, down),
             focal_sigma=float(sigma[0]),
             k1_sigma=float(sigma[1]),
             k2_sigma=float(sigma[2]),
+            centre_sigma=(float(sigma[3]), float(sigma[4])),
             points=len(self._points),
             rms_px=rms,
         )
 
     def _equations(self, state: _State) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Normal matrix and right side of the next step, and the residuals (m, 3), pixels."""
-        count, size = len(self._measured), 3 * len(self._measured) + 5
+        count, size = len(self._measured), 3 * len(self._measured) + 2 + _UNKNOWNS
         first, second = self._images.T
         a, b = self._rays(state, 0), self._rays(state, 1)
         residual = (a - b) * self._focal_px
         # of a small rotation w of a photo: w x ray
         by_lens = [
-            (self._rays(_shifted(state, k), 0) - self._rays(_shifted(state, k), 1) - (a - b)) / _STEP for k in range(3)
+            (self._rays(_shifted(state, k), 0) - self._rays(_shifted(state, k), 1) - (a - b)) / _STEP
+            for k in range(_UNKNOWNS)
         ]
         sigma_px = max(_FLOOR_PX, float(np.median(np.linalg.norm(residual, axis=1))))
         scale = max(_SCALE_PX, 2 * sigma_px)
         weight = 1 / (1 + (residual**2).sum(axis=1) / scale**2) / sigma_px**2
-        jacobian = np.zeros((len(residual), 3, 9))
+        jacobian = np.zeros((len(residual), 3, 6 + _UNKNOWNS))
         jacobian[:, :, 0:3] = -_cross(a) * self._focal_px
         jacobian[:, :, 3:6] = _cross(b) * self._focal_px
-        jacobian[:, :, 6:9] = np.stack(by_lens, axis=2) * self._focal_px
+        jacobian[:, :, 6:] = np.stack(by_lens, axis=2) * self._focal_px
         columns = np.concatenate(
             [
                 3 * first[:, None] + np.arange(3),
                 3 * second[:, None] + np.arange(3),
-                np.broadcast_to(3 * count + 2 + np.arange(3), (len(first), 3)),
+                np.broadcast_to(3 * count + 2 + np.arange(_UNKNOWNS), (len(first), _UNKNOWNS)),
             ],
             axis=1,
         )
@@ -175,15 +185,15 @@ class _Problem:
             places = np.concatenate([3 * k + np.arange(3), bias_at + np.arange(2)])
             normal[np.ix_(places, places)] += rows.T @ (information[:, None] * rows)
             side[places] -= rows.T @ (information * turn[k])
-        own = np.array([*[np.radians(_BIAS_DEG)] * 2, _FOCAL_SIGMA, *_RADIAL_SIGMA]) ** -2.0
-        places = bias_at + np.arange(5)
+        own = np.array([*[np.radians(_BIAS_DEG)] * 2, _FOCAL_SIGMA, *_RADIAL_SIGMA, *_CENTRE_SIGMA]) ** -2.0
+        places = bias_at + np.arange(2 + _UNKNOWNS)
         normal[places, places] += own
         side[places] -= own * np.concatenate([state.bias, state.lens])
 
     def _rays(self, state: _State, which: int) -> FloatArray:
         """World directions (m, 3) of the points in the first or second photo."""
-        focal, k1, k2 = state.lens
-        stored = self._points[:, which] / np.exp(focal)
+        focal, k1, k2 = state.lens[:3]
+        stored = self._points[:, which] / np.exp(focal) - state.lens[3:]
         ideal = stored
         for _ in range(6):
             r2 = (ideal**2).sum(axis=1, keepdims=True)
