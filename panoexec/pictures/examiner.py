@@ -241,7 +241,7 @@ class Examiner:
     # --- the focal length
 
     def lens(self) -> LensFit | None:
-        """The whole lens as the agreeing ties see it, its focal length relative to the stated one; None with few points."""
+        """The whole lens as the agreeing ties see it, relative to the stated focal length; None with few points."""
         size = self.size_px()
         if size is None:
             return None

@@ -1,4 +1,4 @@
-"""Photos as an ideal pinhole would have taken them: what is known of the lens is taken out before photos are compared."""
+"""Photos as an ideal pinhole would have taken them: what is known of the lens is taken out before they are compared."""
 
 from __future__ import annotations
 
