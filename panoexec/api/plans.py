@@ -26,12 +26,12 @@ from panoexec.planning.model import (
     Constraints,
     GimbalLimits,
     Guarantee,
-    Skyline,
     Timing,
     Tolerance,
 )
 from panoexec.planning.order.shot_order import ORDERS, Order
 from panoexec.planning.request import check_request
+from panoexec.planning.skyline import Skyline
 
 CameraLike: TypeAlias = str | os.PathLike[str] | Camera | CameraProfile
 """Name of a shipped profile, path of a profile file, a loaded profile, or a camera."""

@@ -14,9 +14,10 @@ from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.inputs.skyline import skyline_from_text
 from panoexec.optics import Camera
 from panoexec.planning.make_plan import METHODS
-from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Skyline, Timing, Tolerance, Turning
+from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Timing, Tolerance, Turning
 from panoexec.planning.order.shot_order import ORDERS
 from panoexec.planning.search.budget import DEFAULT_BUDGET_S
+from panoexec.planning.skyline import Skyline
 
 DEFAULT_CAMERA = "dji-x5s-15mm"
 DEFAULT_OVERLAP = 0.15

@@ -24,13 +24,13 @@ from panoexec.planning.model import (
     Constraints,
     GimbalLimits,
     Guarantee,
-    Skyline,
     Timing,
     Tolerance,
     Turning,
     TurnLimits,
 )
 from panoexec.planning.order.shot_order import Order
+from panoexec.planning.skyline import Skyline
 
 if TYPE_CHECKING:
     from panoexec.inputs.camera_profiles import CameraProfile

@@ -8,7 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from panoexec.errors import InputFileError
-from panoexec.planning.model import Skyline
+from panoexec.planning.skyline import Skyline
 
 MOST_POINTS = 1000
 _SAME_DEG = 1e-9

@@ -12,6 +12,7 @@ import numpy as np
 from panoexec.angles import FloatArray, rotation_321
 from panoexec.azimuths import azimuth_range, span_of
 from panoexec.optics import Camera
+from panoexec.planning.skyline import Skyline
 
 Guarantee: TypeAlias = Literal["coverage", "all"]
 Method: TypeAlias = Literal["certified", "paper", "hdrpano", "published", "foreign", "patch"]
@@ -94,22 +95,6 @@ def _set_range(box: Band | AngleBox) -> None:
         return
     object.__setattr__(box, "azimuth_min_deg", start)
     object.__setattr__(box, "azimuth_max_deg", end)
-
-
-@dataclass(frozen=True, slots=True)
-class Skyline:
-    """Where the sky begins, in which nothing can be matched: elevations by azimuth, linear between the points.
-
-    Attributes:
-        points: (azimuth, elevation), degrees, azimuths ascending in [-180, 180); one point for the same all round.
-    """
-
-    points: tuple[tuple[float, float], ...]
-
-    @staticmethod
-    def level(elevation_deg: float) -> Skyline:
-        """The same elevation all round."""
-        return Skyline(((0.0, elevation_deg),))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

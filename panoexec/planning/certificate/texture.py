@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 
 from panoexec.angles import FloatArray
 from panoexec.optics import Camera
-from panoexec.planning.model import Constraints, Shot, Skyline, Tolerance, shot_rotations
+from panoexec.planning.model import Constraints, Shot, Tolerance, shot_rotations
+from panoexec.planning.skyline import Skyline
 
 MARGIN_DEG = 1.0
 """Texture counts from this far below the skyline."""

@@ -8,7 +8,15 @@ from __future__ import annotations
 import subprocess
 import sys
 
-HEAVY = ("numpy", "panoexec.planning", "panoexec.mission", "rich.traceback", "mavsdk", "aiohttp")
+HEAVY = (
+    "numpy",
+    "panoexec.planning.model",
+    "panoexec.planning.search.planner",
+    "panoexec.mission",
+    "rich.traceback",
+    "mavsdk",
+    "aiohttp",
+)
 
 
 def test_they_load_only_what_they_need() -> None:

@@ -18,7 +18,8 @@ from panoexec.inputs.plan_options import PlanOptions, configured_gimbal, configu
 from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.optics import Camera, Lens
 from panoexec.planning.baselines.published import published_plan
-from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Skyline, Timing, Tolerance, Turning
+from panoexec.planning.model import AngleBox, Band, Constraints, GimbalLimits, Timing, Tolerance, Turning
+from panoexec.planning.skyline import Skyline
 
 CAMERAS = [load_profile(name).camera for name in ("dji-x5s-15mm", "dji-x5s-45mm", "sony-a6000-35mm")]
 

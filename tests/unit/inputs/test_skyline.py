@@ -10,7 +10,8 @@ from panoexec.errors import InputFileError
 from panoexec.inputs.plan_file import plan_from_data, plan_to_data
 from panoexec.inputs.skyline import skyline_from_text, skyline_of, skyline_to_data
 from panoexec.optics import Camera
-from panoexec.planning.model import Band, Constraints, Plan, Shot, Skyline
+from panoexec.planning.model import Band, Constraints, Plan, Shot
+from panoexec.planning.skyline import Skyline
 
 POINTS = [[-170.0, 3.0], [0.0, 12.5], [170.0, 4.0]]
 

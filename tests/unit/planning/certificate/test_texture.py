@@ -14,8 +14,9 @@ from panoexec.optics import Camera
 from panoexec.planning.certificate.texture import LEAST_COUNTED, MARGIN_DEG, Texture
 from panoexec.planning.certificate.verdict import certify, certify_poses
 from panoexec.planning.geometry.overlap import pairwise_overlap, union_overlap
-from panoexec.planning.model import NO_TOLERANCE, Band, Constraints, Skyline, Tolerance
+from panoexec.planning.model import NO_TOLERANCE, Band, Constraints, Tolerance
 from panoexec.planning.search.planner import plan_certified
+from panoexec.planning.skyline import Skyline
 from tests.unit.planning.brute import even_rows, with_errors
 
 WIDE = Camera.from_fov(59.94, 46.86)
