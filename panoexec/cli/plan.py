@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from panoexec.cli.numbers import count, positive
-from panoexec.cli.output import in_words, note, percent, print_facts, print_json, print_table
+from panoexec.cli.output import counted, in_words, note, percent, print_facts, print_json, print_table
 from panoexec.cli.plan_map import check_plot_path, plot_plan
 from panoexec.cli.planning_options import (
     add_camera_arguments,
@@ -106,7 +106,7 @@ def show_plan(
     """Print rows, certificate, duration and size of a plan."""
     camera = plan.camera
     fov = f"{camera.hfov_deg:.2f}° × {camera.vfov_deg:.2f}°"
-    print(f"{len(plan.shots)} images of {camera.name} ({fov}, {profile.orientation}), method {plan.method}")
+    print(f"{counted(len(plan.shots), 'image')} of {camera.name} ({fov}, {profile.orientation}), method {plan.method}")
     print_table(
         "",
         ("row", "pitch °", "images", "spacing °", "overlap in row", "with row below"),
@@ -126,7 +126,7 @@ def show_plan(
     if plan.certificate is not None:
         facts += certificate_facts(plan.certificate)
     if plan.lower_bound is not None:
-        facts.append(("lower bound", f"{plan.lower_bound} images (solid angle)"))
+        facts.append(("lower bound", f"{counted(plan.lower_bound, 'image')} (solid angle)"))
     if plan.estimate is not None:
         facts += _estimate_facts(plan.estimate, hover_min)
     sky_alone = sum(shot.geometry_only for shot in plan.shots)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from panoexec.angles import FloatArray, elevation_azimuth
+from panoexec.cli.output import counted
 from panoexec.errors import DependencyError, UsageError, to_install
 from panoexec.files import write_atomically_with
 from panoexec.planning.coverage_map import box_mask, coverage_count
@@ -281,7 +282,7 @@ def _boresight(plan: Plan, index: int) -> FloatArray:
 def _headings(plan: Plan) -> tuple[str, str]:
     camera, constraints, certificate = plan.camera, plan.constraints, plan.certificate
     rows = len(plan.rows())
-    heading = f"{camera.name}: {len(plan.shots)} images in {rows} row{'s' if rows > 1 else ''}"
+    heading = f"{camera.name}: {counted(len(plan.shots), 'image')} in {counted(rows, 'row')}"
     if certificate is not None:
         heading += ", certified" if certificate.certified else ", NOT certified"
     band = constraints.band

@@ -16,7 +16,7 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from panoexec.cli.output import note, print_facts, print_json
+from panoexec.cli.output import counted, note, print_facts, print_json
 from panoexec.cli.plan import certificate_facts, check_targets
 from panoexec.cli.plan_map import check_plot_path, plot_plan
 from panoexec.cli.planning_options import (
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
             | {"certificate": certificate_to_data(certificate), "notes": list(cautions(certificate))}
         )
     else:
-        name = f"{args.plan}: {len(plan.shots)} images of {plan.camera.name}"
+        name = f"{args.plan}: {counted(len(plan.shots), 'image')} of {plan.camera.name}"
         print_facts([("plan", name), ("lens", lens_in_words(plan.camera))])
         print_facts(certificate_facts(certificate))
         for text in cautions(certificate):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from panoexec.cli.output import in_words
+from panoexec.cli.output import counted, in_words
 
 
 @pytest.mark.parametrize(
@@ -20,3 +20,7 @@ from panoexec.cli.output import in_words
 )
 def test_a_duration_in_words(seconds: float, words: str) -> None:
     assert in_words(seconds) == words
+
+
+def test_one_is_no_plural() -> None:
+    assert [counted(number, "image") for number in (0, 1, 2)] == ["0 images", "1 image", "2 images"]
