@@ -10,11 +10,12 @@ from typing import Final, Literal, Self, TypeAlias, TypeVar
 
 from panoexec.errors import UsageError
 from panoexec.inputs.camera_profiles import CameraProfile, load_profile
+from panoexec.inputs.lens_choice import with_lens
 from panoexec.inputs.plan_file import read_plan_file, write_plan
 from panoexec.inputs.plan_options import PlanOptions
 from panoexec.inputs.plan_spec import PlanSpec
 from panoexec.inputs.skyline import skyline_of
-from panoexec.optics import Camera
+from panoexec.optics import Camera, Lens
 from panoexec.planning import model
 from panoexec.planning.baselines.published import PUBLISHED, published_plan
 from panoexec.planning.certificate.verdict import certify
@@ -103,6 +104,7 @@ class Plan(model.Plan):
 def plan(
     camera: CameraLike,
     *,
+    lens: Lens | None = None,
     overlap: float | None = None,
     overlap_h: float | None = None,
     overlap_v: float | None = None,
@@ -123,6 +125,7 @@ def plan(
 
     Args:
         camera: name of a profile (`panoexec cameras`), path of a profile file, `CameraProfile` or `Camera`.
+        lens: which lens of it counts; the calibrated one, where it is known.
         overlap: least overlap in rows and between rows, fraction of the image area, [0, 1); 0.15.
         overlap_h: of neighbours in a row, instead of `overlap`.
         overlap_v: of neighbouring rows, instead of `overlap`.
@@ -165,7 +168,7 @@ def plan(
         masks=masks,
         textured_below=textured_below,
     )
-    options = replace(options, gimbal=gimbal, method=method, order=order, columns=columns, rows=rows)
+    options = replace(options, lens=lens, gimbal=gimbal, method=method, order=order, columns=columns, rows=rows)
     if budget_s is not None:
         if not budget_s > 0:
             raise UsageError(f"budget_s {budget_s:g} is out of range: give seconds above 0")
@@ -178,6 +181,7 @@ def verify(
     plan: model.Plan | str | os.PathLike[str],
     *,
     camera: CameraLike | None = None,
+    lens: Lens | None = None,
     overlap: float | None = None,
     overlap_h: float | None = None,
     overlap_v: float | None = None,
@@ -193,6 +197,7 @@ def verify(
     Args:
         plan: a plan, the path of a plan file, or the name of one of the paper's plans (docs/certificate.md).
         camera: as in `plan`; instead of the plan's.
+        lens: as in `plan`; that of the plan's camera.
         overlap: as in `plan`, as are all below.
         overlap_h: of neighbours in a row.
         overlap_v: of neighbouring rows.
@@ -226,7 +231,7 @@ def verify(
         masks=masks,
         textured_below=textured_below,
     )
-    used = plan.camera if camera is None else _optics(camera)[0]
+    used = with_lens(plan.camera if camera is None else _optics(camera)[0], lens)
     constraints = options.over(PlanSpec(camera=used, constraints=plan.constraints)).constraints
     check_request(used, constraints)
     return certify(replace(plan, camera=used, constraints=constraints))

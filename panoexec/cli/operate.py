@@ -74,6 +74,7 @@ def _of_start(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plan", metavar="PLAN.json", help="fly this plan instead of one that the vehicle computes")
     parser.add_argument("--name", metavar="TEXT", help="name of the mission, for people")
     parser.add_argument("--camera", metavar="NAME", help="camera profile of the vehicle ([camera] profile)")
+    parser.add_argument("--lens", choices=("calibrated", "nominal"), help="lens that is planned and proven for")
     parser.add_argument("--reference", choices=("north", "heading"), help="direction of yaw 0")
     parser.add_argument("--method", choices=("certified", "paper"), help="planning method")
     parser.add_argument(
@@ -104,7 +105,7 @@ def _start_fields(args: argparse.Namespace) -> Data:
         "textured_below": _skyline(args.textured_below),
     }
     overlaps = ("overlap", "overlap_h", "overlap_v")
-    for name in ("preset", "name", "camera", "reference", "method", "order", "guarantee", *overlaps):
+    for name in ("preset", "name", "camera", "lens", "reference", "method", "order", "guarantee", *overlaps):
         fields[name] = getattr(args, name)
     return {name: value for name, value in fields.items() if value is not None}
 

@@ -34,8 +34,10 @@ def chosen_profile(config: Config, camera: str | Mapping[str, Any] | None) -> Ca
             return configured_profile(config)
         orientation = config.camera.orientation
         if isinstance(camera, str):
-            return load_profile(camera, orientation=orientation)
-        return profile_from_mapping(camera, source="camera")
+            named = load_profile(camera, orientation=orientation)
+        else:
+            named = profile_from_mapping(camera, source="camera")
+        return replace(named, camera=named.camera.with_lens(config.camera.lens or "calibrated"))
     except InputFileError as error:
         first = error.problems[0].partition(" ")[0].rstrip(":")
         raise RefusedRequestError("invalid", str(error), field=f"camera.{first}") from error

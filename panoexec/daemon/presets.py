@@ -20,7 +20,18 @@ _MOST: Final = 50
 _NOT_HERE: Final = frozenset({"transaction", "preset", "plan", "shots"})
 _OVERLAPS: Final = frozenset({"overlap", "overlap_h", "overlap_v"})
 _OF_A_PLAN: Final = frozenset(
-    {"camera", "elevation_deg", "azimuth_deg", "guarantee", "method", "order", "budget_s", "textured_below", *_OVERLAPS}
+    {
+        "camera",
+        "lens",
+        "elevation_deg",
+        "azimuth_deg",
+        "guarantee",
+        "method",
+        "order",
+        "budget_s",
+        "textured_below",
+        *_OVERLAPS,
+    }
 )
 """What a plan file in the request says itself."""
 

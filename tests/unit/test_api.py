@@ -144,6 +144,21 @@ def test_foreign_and_published_plans(tmp_path: Path) -> None:
     assert not panoexec.verify("scenario-2-hdrpano").certified
 
 
+def test_the_lens_that_counts() -> None:
+    nominal = panoexec.plan("dji-x5s-45mm", lens="nominal", elevation_deg=(-20, 20), azimuth_deg=(170, -100))
+    assert nominal.camera.focal_length_used_mm == 45.0
+    judged, in_the_air = panoexec.verify(nominal), panoexec.verify(nominal, lens="calibrated")
+    assert judged.certified
+    assert judged.min_overlap_h is not None
+    assert in_the_air.min_overlap_h is not None
+    assert in_the_air.min_overlap_h < judged.min_overlap_h
+    calibrated = panoexec.plan("dji-x5s-45mm", elevation_deg=(-20, 20), azimuth_deg=(170, -100))
+    assert calibrated.camera.focal_length_used_mm == 46.0
+    assert calibrated.constraints.band == nominal.constraints.band
+    with pytest.raises(panoexec.UsageError, match="has no calibrated lens"):
+        panoexec.plan("siyi-a8-mini", lens="calibrated")
+
+
 def test_cameras_by_name_by_file_by_profile_and_as_such(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     shutil.copy(ROOT / "panoexec" / "profiles" / "dji-x5s-15mm.toml", file)

@@ -76,9 +76,31 @@ def test_the_camera_of_a_request_wins_over_the_one_set_before_and_the_configured
     assert spec_of(CONFIG, request(camera=table), camera="dji-x5s-45mm").camera.name == "mine"
 
 
+def test_the_lens_of_a_request_wins_over_the_configured_one() -> None:
+    nominal = Config.model_validate({"camera": {"profile": "dji-x5s-45mm", "lens": "nominal"}})
+    known = Config.model_validate({"camera": {"profile": "dji-x5s-45mm"}})
+    assert spec_of(known, request()).camera.focal_length_used_mm == 46.0
+    assert spec_of(nominal, request()).camera.focal_length_used_mm == 45.0
+    assert spec_of(nominal, request(lens="calibrated")).camera.focal_length_used_mm == 46.0
+    assert spec_of(nominal, request(camera="dji-x5s-15mm")).camera.focal_length_used_mm == 15.0
+    assert spec_of(known, request(camera="dji-x5s-15mm", lens="nominal")).camera.focal_length_used_mm == 15.0
+    # a plan is for the lens that it states, unless the request states another
+    data = plan_to_data(published_plan("scenario-2-proposed"))
+    assert spec_of(known, request(plan=data)).camera.focal_length_used_mm == 45.0
+    assert spec_of(known, request(plan=data, lens="calibrated")).camera.focal_length_used_mm == 46.0
+    unknown = Config.model_validate({"camera": {"profile": "siyi-a8-mini", "lens": "calibrated"}})
+    assert any("siyi-a8-mini has no calibrated lens" in text for text in configuration_problems(unknown))
+
+
 @pytest.mark.parametrize(
     ("fields", "field"),
     [
+        ({"camera": "siyi-a8-mini", "lens": "calibrated"}, "lens"),
+        ({"camera": SENSOR | {"focal_length_mm": 20.0, "distortion": {"k1": -3.0}}}, "camera.distortion"),
+        (
+            {"camera": SENSOR | {"focal_length_mm": 20.0, "principal_point_px": [9000.0, 1.0]}},
+            "camera.principal_point_px",
+        ),
         ({"camera": "no-such-camera"}, "camera"),
         ({"camera": SENSOR}, "camera.focal_length_mm"),
         ({"plan": {"shots": []}}, "plan.shots"),
