@@ -18,6 +18,9 @@ import numpy as np
 
 from tests.bench.harness import Measurement
 
+_ONLY_NAMED = {"survey"}
+"""Benchmarks that take long, and run only where they are named."""
+
 
 def main() -> int:
     """Run and print them; the exit code."""
@@ -25,7 +28,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         prog="python -m tests.bench", description=__doc__.splitlines()[0] if __doc__ else ""
     )
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"which: {', '.join(available)} (all)")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"which: {', '.join(available)} (all but survey)")
     parser.add_argument("--json", action="store_true", help="one JSON document on stdout")
     args = parser.parse_args()
     for name in args.names:
@@ -34,7 +37,7 @@ def main() -> int:
     results: dict[str, list[Measurement]] = {}
     if not args.json:
         print(f"Python {platform.python_version()}, numpy {np.__version__}, {platform.machine()}", flush=True)
-    for name in args.names or available:
+    for name in args.names or [name for name in available if name not in _ONLY_NAMED]:
         if not args.json:
             print(f"\n{name}", flush=True)
         results[name] = []

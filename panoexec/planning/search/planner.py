@@ -54,7 +54,7 @@ _WORK, _LEAST_WORK = 6, 600
 _CLOSE = 0.05
 """Proposals that lack more overlap are not planned again."""
 
-_MORE_WORK, _LEAST_WORK_ON = 2.0, 1500
+_MORE_WORK, _LEAST_WORK_ON = 1.75, 1000
 """Once a plan is certified, the search goes on for fewer images up to this multiple of the work, or of this number."""
 
 _SET_UP_WORK = 400
@@ -168,6 +168,7 @@ class _Planner:
         self._budget = budget or SearchBudget()
         self._best: _Found | None = None
         self._spent = 0
+        self._tried: dict[tuple[object, ...], bool] = {}
 
     def best(self, *, enough: int = 1) -> _Found:
         """The best plan.
@@ -235,11 +236,15 @@ class _Planner:
 
     def _try_variant(self, constraints: Constraints, variant: Variant, *, within_band: bool = False) -> bool:
         """`_try` with the demands of a variant, and with no row outside the band, if its images only tie others."""
-        self._budget.use(_SET_UP_WORK)
+        self._budget.use()
         rules = RowConstraints(
             self._camera, constraints, variant.demands, variant.loss, budget=self._budget, within_band=within_band
         )
-        return self._try(rules)
+        signature = rules.signature()
+        if signature not in self._tried:
+            self._budget.use(_SET_UP_WORK)
+            self._tried[signature] = self._try(rules)
+        return self._tried[signature]
 
     def _try(self, rules: RowConstraints) -> bool:
         """Search a certified plan with fewer images than the best so far; return whether any rows cover the band."""

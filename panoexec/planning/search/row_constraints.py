@@ -33,6 +33,7 @@ _STEEP_DEG = 45.0
 _MANY = 40
 _ZONE_NODES = 46
 _TURN_NODES = 8
+_SIGNATURE_NODES = 121
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,6 +126,20 @@ class RowConstraints:
             return planned
         loss = np.zeros(len(pitch_deg)) if self._loss is None else self._loss(pitch_deg)
         return np.asarray(np.maximum(planned, self.demands.worst_v + loss))
+
+    def signature(self) -> tuple[object, ...]:
+        """What decides a search: two sets of demands with equal signatures give the same rows."""
+        pitch = np.linspace(*self.pitch_deg, _SIGNATURE_NODES)
+        demands, asked = self.demands, self._constraints
+        return (
+            asked.band,
+            asked.tolerance,
+            self.pitch_deg,
+            self.fewest(pitch).tobytes(),
+            self._demand_v(pitch).round(9).tobytes(),
+            demands.least_count,
+            demands.least_rows,
+        )
 
     def with_seam(self, seam: float) -> RowConstraints:
         """A copy with another demand on the seam: the part of the meridian between neighbours that both see."""
@@ -229,6 +244,9 @@ class RowConstraints:
         if start_deg < 0 < stop_deg:
             pitches = np.append(pitches, 0.0)
         counts = self.fewest(pitches)
+        if not self.layout.closed:
+            # the outer images of a row may see more beyond them than half the spacing
+            counts = np.maximum(counts - 1, self.demands.least_count)
         most = int(counts.max())
         if self.layout.closed and max(-start_deg, stop_deg) > _STEEP_DEG:
             most = max(most, self._most_turned)
