@@ -62,7 +62,7 @@ class Plan(model.Plan):
         shots: poses of the gimbal, in shooting order.
         certificate: the proof; None for a plan that was loaded and not verified.
         estimate: duration (s), slews (degrees), size of the panorama (px); None for a plan that was loaded.
-        lower_bound: no plan for these constraints can have fewer images; None where unknown.
+        lower_bound: no plan in rows for these constraints can have fewer images; None where unknown.
         notes: remarks of the planner.
     """
 

@@ -126,7 +126,7 @@ def show_plan(
     if plan.certificate is not None:
         facts += certificate_facts(plan.certificate)
     if plan.lower_bound is not None:
-        facts.append(("lower bound", f"{counted(plan.lower_bound, 'image')} (solid angle)"))
+        facts.append(("lower bound", f"{counted(plan.lower_bound, 'image')} (solid angle; overlaps, for closed rows)"))
     if plan.estimate is not None:
         facts += _estimate_facts(plan.estimate, hover_min)
     sky_alone = sum(shot.geometry_only for shot in plan.shots)

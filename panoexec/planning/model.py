@@ -300,7 +300,8 @@ class Plan:
     certificate: Certificate | None = None
     estimate: Estimate | None = None
     lower_bound: int | None = None
-    """Lower bound of the number of images for these constraints (by solid angle)."""
+    """Lower bound of the number of images for these constraints: of any plan by solid angle, or, if that is more, of
+    plans in closed rows (`panoexec.planning.search.row_bound`)."""
     notes: tuple[str, ...] = field(default=())
 
     def rotations(self) -> FloatArray:

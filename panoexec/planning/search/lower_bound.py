@@ -1,4 +1,4 @@
-"""Lower bound of the number of images of any plan, by solid angle: a reference value for plans.
+"""Lower bound of the number of images of any plan, by solid angle; `row_bound` has a better one for closed rows.
 
 Let N images cover the part D of the sphere. There are two bounds; the larger one counts:
 

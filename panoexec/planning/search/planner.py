@@ -31,6 +31,7 @@ from panoexec.planning.request import MAX_IMAGES, check_request
 from panoexec.planning.search.budget import BudgetSpentError, SearchBudget
 from panoexec.planning.search.infeasible import empty_cores, excessive_overlap, infeasibility_error, nothing_to_cover
 from panoexec.planning.search.lower_bound import least_images
+from panoexec.planning.search.row_bound import least_images_in_rows
 from panoexec.planning.search.row_constraints import RowConstraints
 from panoexec.planning.search.row_refinement import Rows, refine
 from panoexec.planning.search.row_seam import optimise_seam
@@ -106,7 +107,7 @@ def plan_certified(
     hopeless = hopeless or empty_cores(camera, constraints)
     if hopeless:
         raise PlanningError(hopeless)
-    bound = least_images(camera, constraints)
+    bound = max(least_images(camera, constraints), least_images_in_rows(camera, constraints) or 1)
     found = _Planner(camera, constraints, SearchBudget(budget_s)).best(enough=bound)
     limits, costs = constraints.gimbal or GimbalLimits(), timing or Timing()
     check_reachable(found.shots, constraints.gimbal)
