@@ -79,10 +79,13 @@ def _tour(path: Path, *, as_json: bool, embed: Path | None) -> int:
     for text in report.notes:
         note(f"note: {text}")
     note(f"{report.complete} of {report.stops} stops complete, {report.panoramas} panoramas on the page")
+    if report.missed:
+        note(f"no stop at waypoints {', '.join(map(str, report.missed))}")
     if as_json:
         print_json(
             {
                 "report": str(report.path),
+                "missed": list(report.missed),
                 "stops": report.stops,
                 "complete": report.complete,
                 "panoramas": report.panoramas,
@@ -91,7 +94,7 @@ def _tour(path: Path, *, as_json: bool, embed: Path | None) -> int:
         )
     else:
         print(report.path)
-    return 0 if report.stops and report.complete == report.stops else 1
+    return 0 if report.stops and report.complete == report.stops and not report.missed else 1
 
 
 def _embed(directory: MissionDirectory, target: Path) -> bool:

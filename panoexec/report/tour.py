@@ -38,6 +38,7 @@ class TourReport:
         stops: how many stops the tour has.
         complete: how many of them have a complete panorama.
         panoramas: how many panoramas the page shows.
+        missed: waypoints with a station at which no stop was made.
         notes: what could not be read.
     """
 
@@ -45,6 +46,7 @@ class TourReport:
     stops: int
     complete: int
     panoramas: int
+    missed: tuple[int, ...]
     notes: tuple[str, ...]
 
 
@@ -75,6 +77,7 @@ def write_tour_report(path: Path) -> TourReport:
         stops=len(stops),
         complete=sum(stop.outcome == "complete" for stop in tour.stops),
         panoramas=len(pictures),
+        missed=tuple(sorted(set(tour.waypoints) - {stop.waypoint for stop in tour.stops})),
         notes=tuple(notes),
     )
 

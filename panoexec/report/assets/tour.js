@@ -113,6 +113,8 @@ function tourPage() {
   if (stops.length) responsive(holder, (width) => drawMap(holder, width));
   else holder.append(el("p", { class: "lead" }, "No station was reached."));
   list();
+  const missed = tourData.tour.waypoints.filter((number) => !stops.some((stop) => stop.waypoint === number));
+  if (missed.length) document.getElementById("stops").append(el("p", { class: "lead" }, `No stop at waypoints ${missed.join(", ")}.`));
   document.getElementById("foot").textContent = `Written by panoexec ${tourData.made.version}, ${tourData.made.time}. Panorama viewer: Pannellum (MIT licence).`;
   document.documentElement.dataset.ready = "yes";
 }

@@ -326,6 +326,7 @@ class Vehicle:
             mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
             mavlink.MAV_CMD_NAV_LAND: self._land,
             mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
+            mavlink.MAV_CMD_MISSION_START: self._start_mission,
             mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._capabilities,
             mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._reboot_command,
             mavlink.MAV_CMD_IMAGE_START_CAPTURE: self._no_camera,
@@ -362,6 +363,15 @@ class Vehicle:
         if self._trigger is not None and item.command in self._trigger.commands:
             params = (*item.params, float(item.x), float(item.y), item.z)
             self._trigger.command(Command(id=item.command, params=params, confirmation=0, sender=(0, 0)))
+
+    def _start_mission(self, command: Command) -> int:
+        """As ground stations begin a mission: from its current item on."""
+        if command.params[:2] != (0.0, 0.0):
+            return _DENIED
+        if not self.auto.may_begin:
+            return int(mavlink.MAV_RESULT_FAILED)
+        self.modes.set("AUTO" if self._config.autopilot == "ardupilot" else "MISSION")
+        return _ACCEPTED
 
     def _set_mode(self, command: Command) -> int:
         if self.modes.is_auto_command(command.params[1], command.params[2]) and not self.auto.may_begin:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 
@@ -13,6 +14,7 @@ from panoexec.adapters.autopilot_mission import MissionItem
 from panoexec.daemon.stations.arrival import Arrival
 from panoexec.daemon.stations.marked import LANDING_S, marked_stations, rest_of_mission_s
 from panoexec.devices import VehicleStatus
+from tests.repository import ROOT
 from tests.unit.daemon.station_world import jump, marker, two_stations, waypoint
 
 PRESETS = ["roof", "yard"]
@@ -135,3 +137,26 @@ def test_it_has_not_arrived_while_it_climbs_or_does_not_know_where_it_is() -> No
     assert not any(arrived([near(0.2, relative_altitude_m=5.0 + 0.4 * index) for index in range(20)]))
     assert not any(arrived([near(0.2, position_ok=False)] * 20))
     assert not any(arrived([near(0.2, latitude_deg=math.nan)] * 20))
+
+
+def test_the_plan_file_for_qgroundcontrol_has_two_stations() -> None:
+    """Numbered as ArduPilot does, whose first item is home."""
+    plan = json.loads((ROOT / "examples" / "stations.plan").read_text(encoding="utf-8"))
+    items = [waypoint(0, 0)]
+    for seq, entry in enumerate(plan["mission"]["items"], start=1):
+        given = [0.0 if value is None else float(value) for value in entry["params"]]
+        scale = 1e7 if entry["frame"] == 3 else 1.0
+        items.append(
+            MissionItem(
+                seq=seq,
+                command=entry["command"],
+                frame=entry["frame"],
+                params=(given[0], given[1], given[2], given[3]),
+                x=round(given[4] * scale),
+                y=round(given[5] * scale),
+                z=given[6],
+            )
+        )
+    stations, problems = marked_stations(items, PRESETS)
+    assert [(one.waypoint, one.preset, one.hold_s) for one in stations] == [(2, "roof", 40), (4, "roof", 40)]
+    assert problems == ()

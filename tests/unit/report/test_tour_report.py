@@ -36,6 +36,13 @@ def test_a_tour_without_stops_has_a_page(tmp_path: Path) -> None:
     assert write_tour_report(written(tmp_path)).path.is_file()
 
 
+def test_a_station_that_was_passed_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path, stop(number=1, waypoint=4, outcome="complete"))
+    assert write_tour_report(path).missed == (2,)
+    assert run(["report", TOUR_ID, "--storage", str(tmp_path)]) == 1
+    assert "no stop at waypoints 2" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(("outcome", "code"), [("complete", 0), ("skipped", 1)])
 def test_the_command_finds_it_by_its_name(
     tmp_path: Path, outcome: str, code: int, capsys: pytest.CaptureFixture[str]
