@@ -44,6 +44,7 @@ allow_anonymous true
 user {user}
 """
 _MOSQUITTO: Final = ("mosquitto", "/usr/sbin/mosquitto", "/usr/local/sbin/mosquitto")
+_BATTERY_MINUTES: Final = 1_000_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -161,6 +162,8 @@ async def _running(args: argparse.Namespace, broker: str, folder: Path) -> Async
     simulate = ["--port", str(vehicle_port), "--output", str(folder / "photos"), "--camera", args.camera]
     simulate += ["--speedup", str(args.speedup), *(["--wind", args.wind] if args.wind else [])]
     simulate += [word for fault in args.fault for word in ("--fault", fault)]
+    # it hovers until Ctrl-C: with a battery as it is, missions would be refused after a quarter of an hour
+    simulate += ["--set", f"airframe.battery_minutes={_BATTERY_MINUTES}"]
     programs = _Programs(folder)
     try:
         note("starting broker, simulated vehicle, daemon and page …")

@@ -81,6 +81,8 @@ def run(args: argparse.Namespace) -> int:
         note(f"panoexec: no message received from {vehicle}: check its id ([vehicle] id) and whether it has connected")
         return LinkError.exit_code
     if watched.ended and not args.json:
+        if not sys.stderr.isatty():
+            note("")  # the last view, in a pipe or a file, ends without a line break
         print(report_place(str(watched.state.get("mission_id")), vehicle, _storage(args)))
     return ENDED.get(watched.ended, 0)
 

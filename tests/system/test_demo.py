@@ -64,6 +64,8 @@ async def test_a_mission_is_flown_and_ctrl_c_ends_everything(tmp_path: Path) -> 
     assert len(children) >= 4
     manifests = tmp_path / "demo" / "flown" / "missions"
     await eventually(lambda: any('"complete"' in f.read_text() for f in manifests.glob("*/manifest.json")), SOON_S * 2)
+    status, _ = panoexec("status", *broker, cwd=tmp_path).communicate(timeout=120)
+    assert "battery: 95 %" in status, "who reads for an hour can still fly"
     demo.send_signal(signal.SIGINT)
     assert demo.wait(60) == 130
     assert "ended; the missions are in" in demo.communicate()[1]
