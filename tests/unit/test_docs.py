@@ -154,6 +154,14 @@ def test_links_lead_somewhere(document: Path) -> None:
 
 
 @each_document
+def test_every_page_is_in_the_index_of_the_site(document: Path) -> None:
+    """`make docs` would find it later: a page that no menu leads to."""
+    index = (ROOT / ".ci" / "site" / "index.md").read_text(encoding="utf-8").splitlines()
+    page = str(document.relative_to(ROOT))
+    assert page in index or page.startswith("docs/decisions/"), f"{page}: not in .ci/site/index.md"
+
+
+@each_document
 def test_files_of_the_repository_are_there(document: Path) -> None:
     """Any word of code that is a path below a folder of ours, or the name of a Python file."""
     text = text_of(document)
