@@ -55,7 +55,7 @@ _WORK, _LEAST_WORK = 6, 600
 _CLOSE = 0.05
 """Proposals that lack more overlap are not planned again."""
 
-_MORE_WORK, _LEAST_WORK_ON = 1.75, 1000
+_MORE_WORK, _LEAST_WORK_ON = 1.5, 1000
 """Once a plan is certified, the search goes on for fewer images up to this multiple of the work, or of this number."""
 
 _SET_UP_WORK = 400
@@ -63,6 +63,9 @@ _SET_UP_WORK = 400
 
 _ONLY_FOR_TIES = 2
 """From this group on demands are for C4 alone; their rows stay within the band."""
+
+_MUCH_OVERLAP = 0.1
+"""Where so much overlap is asked for, demands of C4 change nothing once a plan is certified."""
 
 _LAST_GROUP_ON = 3
 """Variants that are tried for fewer images: stronger demands than these seldom need fewer."""
@@ -223,17 +226,24 @@ class _Planner:
         The work allowed is a multiple of that of the search before, unless nothing is certified yet.
         """
         allowed = _MORE_WORK * max(self._budget.work, _LEAST_WORK_ON)
-        for constraints in itertools.chain([self._constraints], siblings(self._constraints)):
+        for constraints, variant in self._further(group):
+            images = self._best_images
+            if images is not None and (images <= enough or self._budget.work > allowed):
+                return
+            self._try_variant(constraints, variant, within_band=variant.group >= _ONLY_FOR_TIES)
+
+    def _further(self, group: int) -> Iterator[tuple[Constraints, Variant]]:
+        """What to try after the search of the request itself, which ended at a group of variants."""
+        certified = self._best_images is not None
+        asked = self._constraints
+        if certified and min(asked.overlap_h, asked.overlap_v) < _MUCH_OVERLAP:
+            own = [v for v in variants(self._camera, self._constraints) if group < v.group <= _LAST_GROUP_ON]
+            yield from ((self._constraints, variant) for variant in reversed(own))
+        for sibling in siblings(self._constraints):
             self._spent = 0
-            for variant in variants(self._camera, constraints):
-                if constraints is self._constraints and variant.group <= group:
-                    continue
-                images = self._best_images
-                if images is not None and (images <= enough or self._budget.work > allowed):
-                    return
-                if images is not None and variant.group > _LAST_GROUP_ON:
-                    break
-                self._try_variant(constraints, variant, within_band=variant.group >= _ONLY_FOR_TIES)
+            for variant in variants(self._camera, sibling):
+                if not certified or variant.group == group:
+                    yield sibling, variant
 
     def _try_variant(self, constraints: Constraints, variant: Variant, *, within_band: bool = False) -> bool:
         """`_try` with the demands of a variant, and with no row outside the band, if its images only tie others."""
