@@ -41,7 +41,7 @@ def refusal(
     if isinstance(plan, PanoexecError):
         return f"preset {station.preset}: {plan}"
     if config.gimbal.yaw == "vehicle" and not config.stations.guided:
-        return "the vehicle must turn, which it does not in its mission ([stations] guided)"
+        return "the vehicle must turn, which is not done in its mission ([stations] guided)"
     if not status.position_ok:
         return "the position is not reliable"
     if plan is None or plan.estimate is None:
