@@ -15,6 +15,9 @@ DEFAULT_BUDGET_S = 20.0
 MOST_BUDGET_S = 240.0
 """The longest budget that the daemon grants, see `panoexec.daemon.planner_process`."""
 
+_SEARCH_SHARE = 0.9
+"""Part of the budget after which the search ends; the rest is for ordering the shots."""
+
 
 class BudgetSpentError(Exception):
     """The processor time is used up; never leaves the search."""
@@ -31,7 +34,7 @@ class SearchBudget:
     def __init__(self, seconds: float | None = None) -> None:
         self.seconds = seconds
         self.work = 0
-        self._end = None if seconds is None else time.thread_time() + seconds
+        self._end = None if seconds is None else time.thread_time() + _SEARCH_SHARE * seconds
 
     @property
     def spent(self) -> bool:

@@ -64,6 +64,9 @@ _SET_UP_WORK = 400
 _ONLY_FOR_TIES = 2
 """From this group on demands are for C4 alone; their rows stay within the band."""
 
+_MANY_IMAGES = 1000
+"""Plans of so many images are not searched on for one fewer: it takes seconds."""
+
 _MUCH_OVERLAP = 0.1
 """Where so much overlap is asked for, demands of C4 change nothing once a plan is certified."""
 
@@ -225,6 +228,8 @@ class _Planner:
 
         The work allowed is a multiple of that of the search before, unless nothing is certified yet.
         """
+        if self._best_images is not None and self._best_images >= _MANY_IMAGES:
+            return
         allowed = _MORE_WORK * max(self._budget.work, _LEAST_WORK_ON)
         for constraints, variant in self._further(group):
             images = self._best_images
