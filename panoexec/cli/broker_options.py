@@ -9,7 +9,8 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from panoexec.errors import InputFileError, UsageError
-from panoexec.inputs.config import MqttSection, load_config
+from panoexec.inputs.config import load_config
+from panoexec.inputs.service_sections import MqttSection
 from panoexec.inputs.validation import problem_lines
 
 _OPTIONS = ("host", "port", "prefix", "protocol", "username", "password_file", "ca_file", "cert_file", "key_file")

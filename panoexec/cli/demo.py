@@ -30,7 +30,7 @@ from panoexec.cli.output import note
 from panoexec.dryrun import tether
 from panoexec.errors import DependencyError, DeviceError, LinkError, UsageError, to_install
 from panoexec.files import write_atomically
-from panoexec.inputs.config import MqttSection
+from panoexec.inputs.service_sections import MqttSection
 
 EXIT_INTERRUPTED: Final = 130
 VEHICLE: Final = "demo"

@@ -38,9 +38,9 @@ from panoexec.dryrun.autopilot import firmware_of, sitl_binary
 from panoexec.dryrun.px4 import TURNING as PX4_TURNING
 from panoexec.dryrun.run import DryRunOptions, DryRunSummary, resume_dry_run, run_dry_run
 from panoexec.errors import DependencyError, UsageError, to_install
-from panoexec.inputs.config import GimbalSection, GuardsSection
 from panoexec.inputs.plan_file import read_plan_file
 from panoexec.inputs.plan_spec import PlanSpec
+from panoexec.inputs.vehicle_sections import GimbalSection, GuardsSection
 from panoexec.logs import configure_logs
 from panoexec.mission.configured_guards import guard_settings
 from panoexec.mission.log.states import MissionState

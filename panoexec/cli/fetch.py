@@ -30,7 +30,7 @@ from panoexec.cli.fetch_http import Page, password_of
 from panoexec.cli.output import note, print_json
 from panoexec.errors import DeviceError, PanoexecError, UsageError
 from panoexec.files import write_atomically_with
-from panoexec.inputs.config import StorageSection
+from panoexec.inputs.service_sections import StorageSection
 from panoexec.store.directory import MissionDirectory
 from panoexec.store.manifest import read_manifest
 from panoexec.store.photo_store import hash_file

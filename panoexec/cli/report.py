@@ -27,7 +27,7 @@ from panoexec.cli.output import note, print_json
 from panoexec.errors import UsageError
 from panoexec.exports import export_set
 from panoexec.exports.odm import write_embedded
-from panoexec.inputs.config import StorageSection
+from panoexec.inputs.service_sections import StorageSection
 from panoexec.report import Report, write_report
 from panoexec.report.tour import write_tour_report
 from panoexec.store.directory import MissionDirectory, existing_mission_directory

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from panoexec.cli.output import note
 from panoexec.errors import UsageError
-from panoexec.inputs.config import MqttSection
+from panoexec.inputs.service_sections import MqttSection
 from panoexec.mqtt.ground_station import GroundStation
 from panoexec.mqtt.senders import CLI, this_user, transaction_of
 

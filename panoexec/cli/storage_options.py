@@ -7,7 +7,8 @@ import os
 from pathlib import Path
 
 from panoexec.errors import UsageError
-from panoexec.inputs.config import StorageSection, load_config
+from panoexec.inputs.config import load_config
+from panoexec.inputs.service_sections import StorageSection
 
 CONFIG = Path("/etc/panoexec/config.toml")
 

@@ -33,7 +33,8 @@ from panoexec.cli.storage_options import CONFIG
 from panoexec.cli.watch_keys import TIMEOUT_S, Keys, TerminalKeys, can_read_keys
 from panoexec.cli.watch_view import ENDED, Watched, fleet_view, mission_view
 from panoexec.errors import LinkError, PanoexecError
-from panoexec.inputs.config import MqttSection, StorageSection, load_config
+from panoexec.inputs.config import load_config
+from panoexec.inputs.service_sections import MqttSection, StorageSection
 from panoexec.mqtt.ground_station import GroundStation
 
 if TYPE_CHECKING:

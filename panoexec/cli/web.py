@@ -29,7 +29,8 @@ from panoexec.cli.one_heap import use_one_heap
 from panoexec.cli.output import note
 from panoexec.daemon.sdnotify import SystemdNotifier
 from panoexec.errors import DependencyError, UsageError, to_install
-from panoexec.inputs.config import LogSection, WebSection, listen_address, load_config
+from panoexec.inputs.config import load_config
+from panoexec.inputs.service_sections import LogSection, WebSection, listen_address
 from panoexec.logs import configure_logs
 from panoexec.web.users import new_user, read_users, write_users
 

@@ -10,7 +10,7 @@ from typing import Final
 
 import structlog
 
-from panoexec.inputs.config import StorageSection
+from panoexec.inputs.service_sections import StorageSection
 from panoexec.mqtt.transactions import Transactions
 
 _PERIOD_S: Final = 15.0

@@ -17,7 +17,8 @@ from panoexec.doctor.camera_photos import examine_interval, measure_photos
 from panoexec.doctor.findings import Findings
 from panoexec.errors import DeviceError, PanoexecError
 from panoexec.inputs.camera_profiles import configured_profile
-from panoexec.inputs.config import Config, LockSection
+from panoexec.inputs.config import Config
+from panoexec.inputs.vehicle_sections import LockSection
 from panoexec.mission.protocols import PacesPhotos, PreparesForPhotos
 
 _ENOUGH_PHOTOS: Final = 100

@@ -11,7 +11,7 @@ import numpy as np
 
 from panoexec.angles import FloatArray, rotation_from_quaternion, yaw_pitch_roll
 from panoexec.devices import AttitudeSample, YawFrame
-from panoexec.inputs.config import PointingSection
+from panoexec.inputs.vehicle_sections import PointingSection
 from panoexec.mission.pointing.tolerance_gate import SPARSE_INTERVALS
 from panoexec.mission.pointing.unseen_motion import DENSE_GAP_S
 

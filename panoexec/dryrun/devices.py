@@ -20,7 +20,7 @@ from panoexec.dryrun.lockstep import Lockstep
 from panoexec.dryrun.pilot import MavsdkPilot
 from panoexec.dryrun.rigs import Rig, VehicleUnderTest
 from panoexec.errors import DeviceError
-from panoexec.inputs.config import CameraSection, LockSection
+from panoexec.inputs.vehicle_sections import CameraSection, LockSection
 from panoexec.mission.settings import MissionSettings
 from panoexec.sim.config import SimConfig
 from panoexec.store.session import Devices

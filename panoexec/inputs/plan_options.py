@@ -34,8 +34,9 @@ from panoexec.planning.skyline import Skyline
 
 if TYPE_CHECKING:
     from panoexec.inputs.camera_profiles import CameraProfile
-    from panoexec.inputs.config import Config, VehicleSection
+    from panoexec.inputs.config import Config
     from panoexec.inputs.plan_file import PlanFile
+    from panoexec.inputs.vehicle_sections import VehicleSection
 
 _T = TypeVar("_T")
 

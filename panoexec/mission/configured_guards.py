@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from panoexec.inputs.config import GimbalSection, GuardsSection
+from panoexec.inputs.vehicle_sections import GimbalSection, GuardsSection
 from panoexec.mission.settings import GuardSettings
 
 

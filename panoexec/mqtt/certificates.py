@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from panoexec.errors import UsageError
-from panoexec.inputs.config import MqttSection
+from panoexec.inputs.service_sections import MqttSection
 
 _PEM: Final = re.compile(r"-----BEGIN CERTIFICATE-----.*?-----END CERTIFICATE-----", re.DOTALL)
 _SEQUENCE: Final = 0x30

@@ -7,7 +7,7 @@ import stat
 from pathlib import Path
 
 from panoexec.errors import UsageError
-from panoexec.inputs.config import MqttSection
+from panoexec.inputs.service_sections import MqttSection
 
 
 def read_password(settings: MqttSection) -> str | None:

@@ -17,7 +17,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from panoexec.errors import LinkError
-from panoexec.inputs.config import MqttSection
+from panoexec.inputs.service_sections import MqttSection
 from panoexec.mqtt.certificates import explained
 from panoexec.mqtt.client import BrokerClient, broker_client
 from panoexec.mqtt.state_deltas import StateFollower

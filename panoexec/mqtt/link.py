@@ -19,7 +19,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from panoexec.errors import PanoexecError
-from panoexec.inputs.config import MqttSection
+from panoexec.inputs.service_sections import MqttSection
 from panoexec.mqtt.certificates import explained
 from panoexec.mqtt.client import CONNECT_S, BrokerClient, broker_client
 from panoexec.mqtt.client_id import another_client_id, client_id

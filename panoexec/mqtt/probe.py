@@ -15,7 +15,7 @@ from typing import Final
 import aiomqtt
 
 from panoexec.errors import LinkError
-from panoexec.inputs.config import MqttSection
+from panoexec.inputs.service_sections import MqttSection
 from panoexec.mqtt.certificates import explained
 from panoexec.mqtt.client import CONNECT_S, REFUSED, BrokerClient, broker_client
 from panoexec.mqtt.client_id import client_id

@@ -17,7 +17,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from panoexec.errors import LinkError, PanoexecError
-from panoexec.inputs.config import MqttSection
+from panoexec.inputs.service_sections import MqttSection
 from panoexec.mqtt.certificates import explained
 from panoexec.mqtt.client import REFUSED, BrokerClient, broker_client
 from panoexec.mqtt.state_deltas import StateFollower

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ssl
 
 from panoexec.errors import InputFileError, UsageError
-from panoexec.inputs.config import WebSection, listen_address
+from panoexec.inputs.service_sections import WebSection, listen_address
 from panoexec.web.access import is_loopback
 from panoexec.web.users import read_users
 

@@ -16,7 +16,7 @@ import structlog
 from aiohttp import web
 
 from panoexec.errors import UsageError
-from panoexec.inputs.config import MqttSection, WebSection
+from panoexec.inputs.service_sections import MqttSection, WebSection
 from panoexec.web.access import Access, is_loopback
 from panoexec.web.audience import Browsers
 from panoexec.web.broker import BrokerLink

@@ -17,7 +17,7 @@ from pathlib import Path
 import aiomqtt
 import numpy as np
 
-from panoexec.inputs.config import MqttSection
+from panoexec.inputs.service_sections import MqttSection
 from panoexec.mqtt.ground_station import GroundStation
 from panoexec.sim.config import SimConfig
 from panoexec.sim.process import free_udp_port, running_simulator

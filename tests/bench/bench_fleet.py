@@ -22,7 +22,7 @@ from typing import Any
 import aiomqtt
 import numpy as np
 
-from panoexec.inputs.config import MqttSection
+from panoexec.inputs.service_sections import MqttSection
 from panoexec.mqtt.client import broker_client
 from panoexec.mqtt.ground_station import GroundStation
 from tests.bench.harness import Measurement

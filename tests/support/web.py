@@ -13,7 +13,7 @@ from typing import Any
 import aiohttp
 import aiomqtt
 
-from panoexec.inputs.config import MqttSection, WebSection
+from panoexec.inputs.service_sections import MqttSection, WebSection
 from panoexec.web.server import Options, Server
 from tests.waiting import eventually
 

@@ -16,7 +16,8 @@ from pathlib import Path
 import structlog
 
 from panoexec.daemon.missions import Missions
-from panoexec.inputs.config import Config, StorageSection
+from panoexec.inputs.config import Config
+from panoexec.inputs.service_sections import StorageSection
 from panoexec.mission.log.events import Event
 from panoexec.store.session import Devices, StoredMission, create_mission
 from tests.unit.fakes.virtual import run_virtual

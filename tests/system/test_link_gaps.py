@@ -18,7 +18,7 @@ import pytest
 pytest.importorskip("pymavlink")
 
 from panoexec.dryrun.run import DryRunOptions, run_dry_run
-from panoexec.inputs.config import GimbalSection, GuardsSection
+from panoexec.inputs.vehicle_sections import GimbalSection, GuardsSection
 from panoexec.mission.configured_guards import guard_settings
 from panoexec.mission.log.events import CommandReceived, Event, MissionPaused, ShotExposed
 from panoexec.mission.settings import MissionSettings

@@ -16,7 +16,8 @@ import structlog
 from panoexec.doctor.broker import check_broker
 from panoexec.doctor.findings import Finding, Findings
 from panoexec.errors import LinkError
-from panoexec.inputs.config import Config, MqttSection
+from panoexec.inputs.config import Config
+from panoexec.inputs.service_sections import MqttSection
 from panoexec.mqtt.client_id import another_client_id, client_id
 from panoexec.mqtt.ground_station import GroundStation
 from panoexec.mqtt.incoming import Incoming

@@ -16,7 +16,7 @@ from typing import Literal
 import aiomqtt
 import pytest
 
-from panoexec.inputs.config import MqttSection
+from panoexec.inputs.service_sections import MqttSection
 from panoexec.mqtt.ground_station import GroundStation
 from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.link import MqttLink, running

@@ -20,7 +20,7 @@ from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.no_downloads import no_downloads
 from panoexec.clock import SystemClock
 from panoexec.errors import DeviceError
-from panoexec.inputs.config import LockSection
+from panoexec.inputs.vehicle_sections import LockSection
 from panoexec.mission.protocols import MetersExposure, PreparesForPhotos
 from panoexec.sim import settings
 from panoexec.sim.config import SimConfig

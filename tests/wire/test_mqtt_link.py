@@ -15,7 +15,7 @@ import pytest
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
-from panoexec.inputs.config import MqttSection
+from panoexec.inputs.service_sections import MqttSection
 from panoexec.mqtt.client import broker_client
 from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.link import MqttLink, running

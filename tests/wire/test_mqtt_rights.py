@@ -16,7 +16,8 @@ import pytest
 from panoexec.doctor.broker import check_broker
 from panoexec.doctor.findings import Findings
 from panoexec.errors import LinkError
-from panoexec.inputs.config import Config, MqttSection
+from panoexec.inputs.config import Config
+from panoexec.inputs.service_sections import MqttSection
 from panoexec.mqtt.credentials import credential_problems
 from panoexec.mqtt.ground_station import GroundStation
 from panoexec.mqtt.incoming import Incoming

@@ -15,7 +15,8 @@ import pytest
 from panoexec.doctor.broker import check_broker
 from panoexec.doctor.findings import Findings
 from panoexec.errors import LinkError, UsageError
-from panoexec.inputs.config import Config, MqttSection
+from panoexec.inputs.config import Config
+from panoexec.inputs.service_sections import MqttSection
 from panoexec.mqtt.certificates import certificate_validity, explained
 from panoexec.mqtt.ground_station import GroundStation
 from panoexec.mqtt.incoming import Incoming

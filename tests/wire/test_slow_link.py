@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from panoexec.inputs.config import MqttSection
+from panoexec.inputs.service_sections import MqttSection
 from panoexec.mqtt.ground_station import GroundStation
 from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.link import MqttLink, running

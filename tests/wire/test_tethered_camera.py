@@ -15,7 +15,7 @@ from panoexec.adapters.camera.tethered.patience import Patience
 from panoexec.clock import SystemClock
 from panoexec.devices import EvidenceLevel
 from panoexec.errors import DeviceError
-from panoexec.inputs.config import LockSection
+from panoexec.inputs.vehicle_sections import LockSection
 from panoexec.sim.tethered import responder
 from panoexec.sim.tethered.ptp import Answer
 from tests.support.tethered import small_jpeg, tethered_camera

@@ -16,7 +16,7 @@ import pytest
 from yarl import URL
 
 from panoexec.errors import UsageError
-from panoexec.inputs.config import MqttSection, WebSection
+from panoexec.inputs.service_sections import MqttSection, WebSection
 from panoexec.web import sockets
 from panoexec.web.protocol import MAX_FRAME
 from panoexec.web.server import Options, Server

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.devices import Camera, EvidenceLevel
-from panoexec.inputs.config import CameraSection
+from panoexec.inputs.vehicle_sections import CameraSection
 
 
 class CameraFound(Protocol):

@@ -34,7 +34,7 @@ from panoexec.devices import EvidenceLevel, PendingCapture, RecalledPhotos
 from panoexec.errors import DeviceError, PanoexecError
 from panoexec.formats.photo_settings import PhotoExif
 from panoexec.inputs.camera_profiles import load_profile
-from panoexec.inputs.config import CameraSection, LockSection
+from panoexec.inputs.vehicle_sections import CameraSection, LockSection
 
 STORAGE_INFORMATION: Final = 261
 

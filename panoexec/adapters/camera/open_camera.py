@@ -13,7 +13,7 @@ from panoexec.adapters.camera import mavsdk_camera, serial_shutter
 from panoexec.adapters.camera.camera_kind import CameraKind, OpenCamera
 from panoexec.adapters.camera.tethered import camera as tethered
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
-from panoexec.inputs.config import CameraSection
+from panoexec.inputs.vehicle_sections import CameraSection
 
 KINDS: Final[dict[str, CameraKind]] = {
     "mavlink": mavsdk_camera.KIND,

@@ -30,7 +30,7 @@ from panoexec.adapters.link.worker_calls import WorkerCalls
 from panoexec.clock import Clock
 from panoexec.devices import EvidenceLevel, PendingCapture
 from panoexec.errors import LinkError
-from panoexec.inputs.config import CameraSection
+from panoexec.inputs.vehicle_sections import CameraSection
 
 Line: TypeAlias = Literal["rts", "dtr", "bytes"]
 

@@ -18,7 +18,7 @@ from panoexec.adapters.link.connection_url import ConnectionUrl
 from panoexec.adapters.link.mavsdk_errors import quiet_mavsdk_log
 from panoexec.adapters.link.serial_ports import connection_of
 from panoexec.errors import DeviceError
-from panoexec.inputs.config import VehicleSection
+from panoexec.inputs.vehicle_sections import VehicleSection
 
 _log = structlog.get_logger(__name__)
 

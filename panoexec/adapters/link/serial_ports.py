@@ -11,7 +11,7 @@ from serial.tools import list_ports
 
 from panoexec.adapters.link.connection_url import ConnectionUrl, parse_connection
 from panoexec.errors import LinkError
-from panoexec.inputs.config import VehicleSection
+from panoexec.inputs.vehicle_sections import VehicleSection
 
 BY_ID: Final = Path("/dev/serial/by-id")
 

@@ -7,8 +7,8 @@ import math
 import pytest
 
 from panoexec.adapters.turn_limits import read_turn_limits
-from panoexec.inputs.config import VehicleSection
 from panoexec.inputs.plan_options import configured_turning
+from panoexec.inputs.vehicle_sections import VehicleSection
 from panoexec.planning.model import Turning, TurnLimits
 from panoexec.planning.order.duration import turn_times_s
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from panoexec.daemon.missions import Missions
-from panoexec.inputs.config import Config, StorageSection
+from panoexec.inputs.config import Config
+from panoexec.inputs.service_sections import StorageSection
 from panoexec.mission.log.states import MissionState
 from panoexec.store.session import Devices, create_mission
 from tests.unit.fakes.virtual import run_virtual

@@ -8,7 +8,8 @@ import pytest
 
 from panoexec.clock import SystemClock
 from panoexec.daemon.missions import Missions
-from panoexec.inputs.config import Config, StorageSection
+from panoexec.inputs.config import Config
+from panoexec.inputs.service_sections import StorageSection
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
 from panoexec.store.directory import mission_directories

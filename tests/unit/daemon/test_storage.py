@@ -11,7 +11,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from panoexec.daemon.storage import StorageMonitor, storage_trouble
-from panoexec.inputs.config import StorageSection
+from panoexec.inputs.service_sections import StorageSection
 from panoexec.mqtt.transactions import Transactions
 from tests.waiting import eventually
 

@@ -7,7 +7,8 @@ import pytest
 from panoexec.doctor.camera import _examine_lock
 from panoexec.doctor.findings import Findings
 from panoexec.errors import DeviceError
-from panoexec.inputs.config import CameraSection, Config, LockSection
+from panoexec.inputs.config import Config
+from panoexec.inputs.vehicle_sections import CameraSection, LockSection
 
 
 class Camera:

@@ -9,7 +9,7 @@ import pytest
 
 from panoexec.devices import AttitudeSample, YawFrame
 from panoexec.doctor.gimbal_quality import measured
-from panoexec.inputs.config import PointingSection
+from panoexec.inputs.vehicle_sections import PointingSection
 from panoexec.sim.physics.gimbal import Angles, quaternion
 
 

@@ -4,7 +4,8 @@ import pytest
 from pydantic import BaseModel, ValidationError
 
 from panoexec.errors import InputFileError
-from panoexec.inputs.config import Config, MqttSection, load_config
+from panoexec.inputs.config import Config, load_config
+from panoexec.inputs.service_sections import MqttSection
 from panoexec.inputs.validation import problem_lines
 from tests.repository import ROOT
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from panoexec.errors import DeviceError
 from panoexec.formats.photo_settings import PhotoExif
-from panoexec.inputs.config import LockSection
+from panoexec.inputs.vehicle_sections import LockSection
 
 PROGRAM: Final = ("expprogram", "autoexposuremodedial", "autoexposuremode", "exposureprogram", "CAM_EXPMODE")
 SHUTTER: Final = ("shutterspeed", "shutterspeed2", "CAM_SHUTTERSPD", "CAM_SHUTTER")

@@ -12,7 +12,7 @@ from panoexec.adapters.camera.settings import lock as locking
 from panoexec.adapters.camera.settings.lock import Change
 from panoexec.errors import DeviceError
 from panoexec.formats.photo_settings import PhotoExif
-from panoexec.inputs.config import LockSection
+from panoexec.inputs.vehicle_sections import LockSection
 
 _READ_S: Final = 10.0
 _SET_S: Final = 5.0

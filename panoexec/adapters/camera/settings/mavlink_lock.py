@@ -21,7 +21,7 @@ from panoexec.clock import work
 from panoexec.devices import EvidenceLevel, PendingCapture
 from panoexec.errors import DeviceError, PhotoFileError
 from panoexec.formats.photo_settings import PhotoExif, read_settings
-from panoexec.inputs.config import LockSection
+from panoexec.inputs.vehicle_sections import LockSection
 
 METER_S: Final = 15.0
 """How long the photo by which the exposure is metered may take to be reported, and again to arrive."""

@@ -34,7 +34,7 @@ from panoexec.clock import Clock
 from panoexec.devices import EvidenceLevel, PendingCapture, RecalledPhotos
 from panoexec.errors import DependencyError, DeviceError, PhotoFileError, to_install
 from panoexec.formats.photo_settings import PhotoExif, read_settings
-from panoexec.inputs.config import CameraSection, LockSection
+from panoexec.inputs.vehicle_sections import CameraSection, LockSection
 
 METER_S: Final = 15.0
 """How long the photo by which the exposure is metered may take."""

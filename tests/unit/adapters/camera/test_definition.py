@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from panoexec.adapters.camera.settings.definition import Parameter, read_definition
 from panoexec.adapters.camera.settings.extended_parameters import decoded, encoded
 from panoexec.adapters.camera.settings.lock import changes
-from panoexec.inputs.config import LockSection
+from panoexec.inputs.vehicle_sections import LockSection
 
 # as a definition for Sony's cameras has it: values are codes, names are for people
 SONY = b"""<?xml version="1.0" encoding="UTF-8" ?>

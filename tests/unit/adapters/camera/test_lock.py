@@ -8,7 +8,7 @@ import pytest
 
 from panoexec.adapters.camera.settings.lock import Change, LockError, changes, drifted, make, seconds_of
 from panoexec.formats.photo_settings import PhotoExif
-from panoexec.inputs.config import LockSection
+from panoexec.inputs.vehicle_sections import LockSection
 
 
 def widget(value: str, *choices: str, read_only: bool = False) -> dict[str, Any]:

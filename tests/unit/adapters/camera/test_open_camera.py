@@ -14,7 +14,7 @@ from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.clock import SystemClock
 from panoexec.devices import EvidenceLevel
 from panoexec.errors import LinkError
-from panoexec.inputs.config import CameraSection
+from panoexec.inputs.vehicle_sections import CameraSection
 
 
 def test_each_trigger_of_the_configuration_has_its_kind() -> None:

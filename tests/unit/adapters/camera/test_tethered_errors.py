@@ -6,7 +6,7 @@ import pytest
 from pydantic import ValidationError
 
 from panoexec.adapters.camera.tethered.errors import explained
-from panoexec.inputs.config import CameraSection, LockSection
+from panoexec.inputs.vehicle_sections import CameraSection, LockSection
 
 
 @pytest.mark.parametrize(

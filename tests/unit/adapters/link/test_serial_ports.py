@@ -6,7 +6,7 @@ import pytest
 from panoexec.adapters.link import serial_ports
 from panoexec.adapters.link.serial_ports import SerialPort, connection_of, find_flight_controller, list_serial_ports
 from panoexec.errors import LinkError
-from panoexec.inputs.config import VehicleSection
+from panoexec.inputs.vehicle_sections import VehicleSection
 
 PIXHAWK = SerialPort(
     device="/dev/ttyACM0",
