@@ -53,7 +53,7 @@ def points_of(camera: Camera, top: float, count: int, rng: np.random.Generator) 
     return np.stack([np.ones(count), across, down], axis=1)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     skyline=skylines,
     yaw=st.floats(-180, 180),
@@ -154,7 +154,7 @@ def test_what_neighbours_share_of_the_sky_is_no_overlap() -> None:
 
 def test_a_plan_is_certified_and_marks_what_sees_the_sky_alone() -> None:
     skyline = HILLS
-    plan = plan_certified(WIDE, replace(band(-90.0, 60.0), textured_below=skyline))
+    plan = plan_certified(WIDE, replace(band(-40.0, 70.0), textured_below=skyline))
     assert plan.certificate is not None
     assert plan.certificate.certified
     assert certify(plan).certified

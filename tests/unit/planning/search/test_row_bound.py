@@ -46,7 +46,7 @@ def test_the_bound_is_near_and_below_what_is_known(
     assert least <= found <= known
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     fov=st.tuples(st.floats(25, 100), st.floats(20, 90)),
     overlap=st.floats(0.02, 0.4),
