@@ -9,16 +9,15 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import math
-import time
 from collections.abc import Awaitable, Callable
 from typing import Any, Final
 
 from panoexec.adapters.link.command_inbox import Result, StationCommand
+from panoexec.daemon.own_requests import submit
 from panoexec.inputs.config import Config
-from panoexec.mqtt.incoming import Incoming, next_arrival
+from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.senders import MAVLINK, transaction_of
 
 REQUEST_NAMES: Final = {1: "start", 2: "pause", 3: "resume", 4: "abort", 5: "finish", 6: "skip", 7: "repeat"}
@@ -62,23 +61,7 @@ class StationRequests:
         """Execute a request of `by`; its result. The pilot hears why it was refused."""
         self._count += 1
         transaction = transaction_of(MAVLINK, by, f"{self._boot_id}-{self._count}")
-        answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
-
-        def reply(payload: bytes) -> None:
-            if not answer.done():
-                answer.set_result(payload)
-
-        payload = json.dumps({"transaction": transaction, **fields}).encode()
-        self._take(
-            Incoming(
-                command=verb,
-                payload=payload,
-                size=len(payload),
-                received_s=time.monotonic(),
-                arrival=next_arrival(),
-                reply=reply,
-            )
-        )
+        answer = submit(self._take, verb, fields, transaction=transaction)
         return self._result(verb, answer)
 
     def request_of(self, command: StationCommand) -> tuple[str, dict[str, Any], str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
 from typing import Any, Final
@@ -15,6 +14,7 @@ import structlog
 from panoexec.adapters.autopilot_mission import COMPLETE, AutopilotMission
 from panoexec.clock import Clock
 from panoexec.daemon.missions import Missions
+from panoexec.daemon.own_requests import submit
 from panoexec.daemon.stations.arrival import Arrival
 from panoexec.daemon.stations.holding import MISSION_MODE, Holding
 from panoexec.daemon.stations.marked import Station, marked_stations
@@ -26,7 +26,7 @@ from panoexec.inputs.config import Config
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import ENDED, FINISHED, MissionState
 from panoexec.mission.tour_stop import TourStop
-from panoexec.mqtt.incoming import Incoming, next_arrival
+from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.messages import TourFields
 from panoexec.planning.model import Plan
 from panoexec.store.tours import OPEN, Stop
@@ -381,25 +381,10 @@ class Stations:
     async def _ask(self, verb: str, fields: Mapping[str, Any], stop: TourStop | None = None) -> dict[str, Any]:
         """Execute a request of the daemon's own; its response."""
         self._asked += 1
-        answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
-        payload = json.dumps({"transaction": f"station-{self._boot_id}-{self._asked}", **fields}).encode()
-
-        def reply(response: bytes) -> None:
-            if not answer.done():
-                answer.set_result(response)
-
-        self._take(
-            Incoming(
-                command=verb,
-                payload=payload,
-                size=len(payload),
-                received_s=time.monotonic(),
-                arrival=next_arrival(),
-                reply=reply,
-                stop=stop,
-            )
+        transaction = f"station-{self._boot_id}-{self._asked}"
+        document: dict[str, Any] = json.loads(
+            await submit(self._take, verb, fields, transaction=transaction, stop=stop)
         )
-        document: dict[str, Any] = json.loads(await answer)
         return document
 
     async def _say(self, text: str) -> None:
