@@ -80,15 +80,22 @@ async def test_a_late_y_is_not_meant_for_the_question() -> None:
 
 
 async def test_what_waits_for_an_answer_ends_with_the_view() -> None:
+    ended: list[str] = []
+
     async def never(verb: str) -> str:
-        await asyncio.Event().wait()
+        try:
+            await asyncio.Event().wait()
+        finally:
+            ended.append(verb)
         return verb
 
     keys = Keys("drone", send=never, changed=lambda: None, now=lambda: 0.0)
     keys.press("p")
     keys.press("y")
     await settled()
+    assert ended == []
     await keys.close()
+    assert ended == ["pause"]
 
 
 async def typed(press: Callable[[str], None], act: Callable[[int], Awaitable[None]]) -> None:
