@@ -27,7 +27,7 @@ _KINDS: Final[dict[str, type[PanoexecError]]] = {
     "": PanoexecError,
 }
 _CRASHES: Final = frozenset({-signal.SIGSEGV, -signal.SIGABRT, -signal.SIGBUS})
-_TOLD: Final = 300
+_MOST_TOLD: Final = 300
 # one thread: numpy's linear algebra starts one for each core, each with buffers of its own
 _ENVIRONMENT: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "1"}
 
@@ -74,8 +74,13 @@ def _ended(code: int | None, complaint: str) -> PanoexecError:
     if code == -signal.SIGKILL:
         return PlanningBudgetError(f"the kernel ended the planner: the computer is out of memory, or {out_of_time()}")
     # libraries that do not report a failed allocation to Python
-    if code in _CRASHES or "memory" in complaint.lower():
+    if code in _CRASHES or "memory" in _told(complaint).lower():
         return PlanningBudgetError(out_of_memory())
     if code == -signal.SIGXCPU:
         return PlanningBudgetError(out_of_time())
-    return PanoexecError(f"planning ended with code {code}: {complaint[-_TOLD:]}")
+    return PanoexecError(f"planning ended with code {code}: {_told(complaint)[-_MOST_TOLD:]}")
+
+
+def _told(complaint: str) -> str:
+    """What a child complained of: of a traceback the end, as its lines of code may say anything."""
+    return complaint.rpartition("\n")[2] if "Traceback (most recent call last)" in complaint else complaint

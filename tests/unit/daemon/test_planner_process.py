@@ -75,6 +75,12 @@ async def test_a_child_that_dies_is_an_error(monkeypatch: pytest.MonkeyPatch) ->
         ("sys.stderr.write('blas: memory allocation failed'); os._exit(1)", PlanningBudgetError, "more than 300 MB"),
         ("os.kill(os.getpid(), 24)", PlanningBudgetError, "more than 300 s of processor time"),
         ("sys.exit('no idea')", PanoexecError, "planning ended with code 1: no idea"),
+        ("raise MemoryError", PlanningBudgetError, "needs more than 300 MB of memory"),
+        (
+            "sys.stderr.write('Traceback (most recent call last):\\n limit_memory(7)\\nKeyError: 7'); os._exit(1)",
+            PanoexecError,
+            "^planning ended with code 1: KeyError: 7$",
+        ),
     ],
 )
 async def test_a_budget_that_is_exceeded_is_an_error(
