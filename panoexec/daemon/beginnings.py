@@ -46,6 +46,11 @@ class Beginning:
         self._called_off: StopCommand | None = None
         self._over = asyncio.Event()
 
+    @property
+    def ends(self) -> bool:
+        """Whether no mission follows, or one that ends before it takes a photo."""
+        return self._called_off is not None or any(command.verb != "pause" for command in self.stops)
+
     def stop(self, command: StopCommand) -> None:
         """Obey a stop: an `abort` calls it off, as a `pause` does a `resume`; other stops are kept for the mission."""
         ends = command.verb in ("abort", "interrupt") or (self._verb, command.verb) == ("resume", "pause")

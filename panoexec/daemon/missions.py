@@ -131,6 +131,11 @@ class Missions:
         """Whether a mission runs or is starting."""
         return self._claimed
 
+    @property
+    def _ending(self) -> bool:
+        begins, flies = self.beginning, self.mission
+        return self._over or (begins is not None and begins.ends) or (flies is not None and flies.commands.ending)
+
     async def idle(self) -> None:
         """Return when no mission runs or is starting, and the files of the last one are written."""
         await self._idle.wait()
@@ -174,7 +179,8 @@ class Missions:
     async def claimed(self, beginning: Beginning) -> AsyncIterator[None]:
         """Reserve the mission slot; it is released if the block fails.
 
-        Waits for a finished mission whose files are still being written.
+        Waits for a mission that is ending: one that was told to end and takes its last photo, releases the gimbal or
+        writes its files. So a `start` may follow an answered `abort` at once.
 
         Args:
             beginning: of the mission that is to have the slot.
@@ -182,7 +188,7 @@ class Missions:
         Raises:
             MissionBusyError: a mission flies.
         """
-        if self._claimed and self._over:
+        if self._claimed and self._ending:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_ENDING_S):
                     await self._idle.wait()

@@ -26,6 +26,12 @@ class OperatorCommands:
         self._runs = False
         self._kept: list[Callable[[], None]] = []
 
+    @property
+    def ending(self) -> bool:
+        """Whether the mission ends and cannot be kept from it: by `abort`, `finish`, `interrupt` or by itself."""
+        requests = self._context.requests
+        return requests.must_end_shooting or requests.over
+
     def begin(self) -> None:
         """The mission runs: execute the commands that arrived before, as far as its state allows."""
         self._runs = True

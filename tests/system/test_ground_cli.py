@@ -148,7 +148,8 @@ async def test_send_and_watch_from_the_first_answer_to_the_last_event(tmp_path: 
             await operates(broker)
             async with panoexec("watch", "--port", broker.port) as one:
                 await listening(broker, 3)
-                assert (await ground.ask("start", "long", method="paper"))["status"] == "ok"
+                answer = await ground.ask("start", "long", method="paper")
+                assert answer["status"] == "ok", answer
                 assert (await ground.ask("abort", "rain", reason="rain"))["status"] == "ok"
                 _, err_bytes = await asyncio.wait_for(one.communicate(), 180)
                 assert one.returncode == 1
