@@ -1,15 +1,24 @@
-"""What every test gets: no asyncio task may outlive it, and a busy machine fails no property."""
+"""What every test gets: no asyncio task may outlive it, no process the run, and a busy machine fails no property."""
 
 from __future__ import annotations
 
 import asyncio
 import inspect
 import logging
-from collections.abc import AsyncIterator, Iterator
+import os
+import sys
+from collections.abc import AsyncIterator, Generator, Iterator
 
 import pytest
 import structlog
 from hypothesis import HealthCheck, settings
+
+from tests.leftovers import Guard
+
+# hundreds of interpreters are started: without bytecode of what they import, each would compile it, for longer than
+# everything else that the suite computes
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # by default an example that takes more than 0.2 s fails its test, and so do inputs that are slow to draw; both
 # depend on what else the machine does. The examples are the same in every run, so that a change is judged by what it
@@ -17,6 +26,33 @@ from hypothesis import HealthCheck, settings
 settings.register_profile("explore", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("same", settings.get_profile("explore"), derandomize=True)
 settings.load_profile("same")
+
+_GUARD = pytest.StashKey[Guard]()
+_LEFT = pytest.StashKey[dict[int, str]]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Mark the processes that tests will start."""
+    if not hasattr(config, "workerinput"):  # once, not in each worker
+        config.stash[_GUARD] = Guard()
+
+
+@pytest.hookimpl(wrapper=True, trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> Generator[None]:
+    """Fail a run that leaves processes, and end them."""
+    yield
+    if guard := session.config.stash.get(_GUARD, None):
+        session.config.stash[_LEFT] = left = guard.close()
+        if left and session.exitstatus in {pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED}:
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Name the tests that left processes."""
+    if left := config.stash.get(_LEFT, None):
+        terminalreporter.section("processes that tests left running", red=True)
+        for process, what in left.items():
+            terminalreporter.write_line(f"{process}, started by {what}")
 
 
 @pytest.fixture
