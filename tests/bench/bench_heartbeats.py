@@ -37,7 +37,7 @@ def _at_most(what: str, ours: float, goal_s: float) -> Measurement:
     return Measurement(what=what, ours=ours, unit="s", goal=f"at most {goal_s:g} s", met=ours <= goal_s)
 
 
-def _restart_s() -> float:
+def restart_s() -> float:
     """RestartSec= of the unit."""
     (line,) = [
         line
@@ -49,8 +49,8 @@ def _restart_s() -> float:
 
 def _gaps(folder: Path) -> list[float]:
     """From the last heartbeat before a SIGKILL to the first one after the restart."""
-    gaps, wait_s = [], _restart_s()
-    daemon = BeatingDaemon(folder, frozen_s=_FROZEN_S)
+    gaps, wait_s = [], restart_s()
+    daemon = BeatingDaemon(folder, frozen_s=_FROZEN_S, listens=True)
     daemon.start()
     for _ in range(KILLS):
         daemon.next_beat()

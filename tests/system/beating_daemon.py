@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
+from typing import Final
 
-from panoexec.sim.process import free_udp_port
+from panoexec.dryrun.firmware import free_udp_ports
+from panoexec.sim.mavlink.dialect import mavlink
 from tests.wire.sim_peer import UdpPeer
 
+_PACKETS_S: Final = 0.05
 _PROGRAM = """
 import signal, sys, time
 from panoexec.__main__ import main
@@ -26,15 +31,21 @@ class BeatingDaemon:
     Args:
         folder: for its configuration, storage and log.
         frozen_s: how long `freeze` lasts.
+        listens: it waits for packets, as by default, and an autopilot sends some, instead of sending by itself.
     """
 
-    def __init__(self, folder: Path, *, frozen_s: float) -> None:
+    def __init__(self, folder: Path, *, frozen_s: float, listens: bool = False) -> None:
         self.log = folder / "serve.log"
-        port = free_udp_port()
-        self._peer = UdpPeer(port)
+        port, own = free_udp_ports(2)
+        self._peer = UdpPeer(own if listens else port)
+        self._over = threading.Event()
+        if listens:
+            self._peer.talk_to(("127.0.0.1", port))
+            threading.Thread(target=self._talk, name="autopilot", daemon=True).start()
         self._config = folder / "config.toml"
+        kind = "udpin" if listens else "udpout"
         self._config.write_text(
-            f'[vehicle]\nconnection = "udpout://127.0.0.1:{port}"\n[storage]\npath = "{folder}/data"\nmin_free_mb = 1\n'
+            f'[vehicle]\nconnection = "{kind}://127.0.0.1:{port}"\n[storage]\npath = "{folder}/data"\nmin_free_mb = 1\n'
         )
         self._program = _PROGRAM.format(frozen_s=frozen_s)
         self._process: subprocess.Popen[bytes] | None = None
@@ -61,7 +72,13 @@ class BeatingDaemon:
         if self._process is not None and self._process.poll() is None:
             self._process.kill()
             self._process.wait(30)
+        self._over.set()
         self._peer.close()
+
+    def _talk(self) -> None:
+        while not self._over.wait(_PACKETS_S):
+            with contextlib.suppress(OSError):
+                self._peer.send(mavlink.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0), component=1)
 
     def freeze(self) -> float:
         """Let the event loop stand still; returns since when."""

@@ -5,13 +5,15 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
+import struct
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 from panoexec.sim.mavlink.dialect import mavlink
 from tests.waiting import eventually
-from tests.wire.mission_conversation import ARM, MODES, SET_MODE, TAKEOFF
+from tests.wire.mission_conversation import ARM, MODES, SET_CURRENT, SET_MODE, TAKEOFF
 from tests.wire.sim_peer import command
 
 _AUTOPILOT = 1
@@ -23,23 +25,31 @@ class Said:
 
     Attributes:
         custom_mode: of the autopilot's heartbeat.
+        modes: its values, each change.
         current: current items, each change.
         reached: reached items.
-        texts: of panoexec, in order.
+        texts: of panoexec, in order; long ones joined.
+        told: what panoexec told the autopilot about its mission: `current SEQ` and `mode MAIN SUB`.
         autopilot_texts: of the autopilot.
         acks: MAV_RESULT by command.
         height_m: above home.
         armed: motors turn.
+        beats_s: when each heartbeat of the daemon was passed on to the autopilot, time.monotonic.
+        floats: NAMED_VALUE_FLOAT, the last value of each name.
     """
 
     custom_mode: int = -1
+    modes: list[int] = field(default_factory=list)
     current: list[int] = field(default_factory=list)
     reached: list[int] = field(default_factory=list)
     texts: list[str] = field(default_factory=list)
+    told: list[str] = field(default_factory=list)
     autopilot_texts: list[str] = field(default_factory=list)
     acks: dict[int, int] = field(default_factory=dict)
     height_m: float = 0.0
     armed: bool = False
+    beats_s: list[float] = field(default_factory=list)
+    floats: dict[str, float] = field(default_factory=dict)
 
 
 class Pilot:
@@ -49,28 +59,35 @@ class Pilot:
         port: where the autopilot sends to.
         daemon_port: where the daemon listens.
         kind: of the autopilot.
+        second_port: where another daemon listens; each hears the other, as through a router.
     """
 
-    def __init__(self, port: int, daemon_port: int, kind: str = "ardupilot") -> None:
+    def __init__(self, port: int, daemon_port: int, kind: str = "ardupilot", second_port: int | None = None) -> None:
         self.said = Said()
         self.kind = kind
         self._out = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
         self._in = mavlink.MAVLink(None)
         self._in.robust_parsing = True
-        self._from_daemon = mavlink.MAVLink(None)
-        self._from_daemon.robust_parsing = True
         self._autopilot: tuple[str, int] | None = None
         self._items: list[Any] = []
         self._uploaded: asyncio.Future[int] | None = None
-        self._near, self._far = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+        self._near = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._near.bind(("127.0.0.1", port))
-        self._far.connect(("127.0.0.1", daemon_port))
-        for one, pass_on in ((self._near, self._to_daemon), (self._far, self._to_autopilot)):
-            one.setblocking(False)
-            asyncio.get_running_loop().add_reader(one, pass_on)
+        self._near.setblocking(False)
+        asyncio.get_running_loop().add_reader(self._near, self._to_daemon)
+        self._far = [self._daemon(one) for one in (daemon_port, second_port) if one is not None]
+
+    def _daemon(self, port: int) -> socket.socket:
+        far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        far.connect(("127.0.0.1", port))
+        far.setblocking(False)
+        parser = mavlink.MAVLink(None)
+        parser.robust_parsing = True
+        asyncio.get_running_loop().add_reader(far, self._to_autopilot, far, parser)
+        return far
 
     def close(self) -> None:
-        for one in (self._near, self._far):
+        for one in (self._near, *self._far):
             asyncio.get_running_loop().remove_reader(one)
             one.close()
 
@@ -104,6 +121,17 @@ class Pilot:
         self.send(command(SET_MODE, *numbers))
         await self.until(lambda: self.said.custom_mode == custom, 30)
 
+    def jump_to(self, seq: int) -> None:
+        """Make an item of the mission the current one, as ground stations do."""
+        self.send(mavlink.MAVLink_mission_set_current_message(1, 1, seq))
+
+    def parameter(self, name: str, value: float, *, whole: bool = False) -> None:
+        """Set a parameter of the autopilot."""
+        kind = mavlink.MAV_PARAM_TYPE_INT32 if whole else mavlink.MAV_PARAM_TYPE_REAL32
+        if whole:  # PX4 has the bytes of the integer in the field
+            (value,) = struct.unpack("<f", struct.pack("<i", int(value)))
+        self.send(mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, kind))
+
     async def take_off(self, height_m: float) -> None:
         """Arm and climb: ArduCopter in GUIDED, PX4 in its mission."""
         await self.mode("guided" if self.kind == "ardupilot" else "auto")
@@ -118,19 +146,37 @@ class Pilot:
 
     def _to_daemon(self) -> None:
         data, self._autopilot = self._near.recvfrom(65535)
-        with contextlib.suppress(OSError):  # it does not listen yet
-            self._far.send(data)
+        for far in self._far:
+            with contextlib.suppress(OSError):  # it does not listen yet
+                far.send(data)
         for message in self._in.parse_buffer(data) or ():
             self._take(message)
 
-    def _to_autopilot(self) -> None:
+    def _to_autopilot(self, far: socket.socket, parser: Any) -> None:
         with contextlib.suppress(OSError):
-            data = self._far.recv(65535)
+            data = far.recv(65535)
             if self._autopilot is not None:
                 self._near.sendto(data, self._autopilot)
-            for message in self._from_daemon.parse_buffer(data) or ():
-                if message.get_type() == "STATUSTEXT":
-                    self.said.texts.append(message.text)
+            for other in self._far:
+                if other is not far:
+                    other.send(data)
+            for message in parser.parse_buffer(data) or ():
+                self._take_daemons(message)
+
+    def _take_daemons(self, message: Any) -> None:
+        kind, said = message.get_type(), self.said
+        if kind == "STATUSTEXT" and message.id and message.chunk_seq and said.texts:
+            said.texts[-1] += message.text
+        elif kind == "STATUSTEXT":
+            said.texts.append(message.text)
+        elif kind == "HEARTBEAT":
+            said.beats_s.append(time.monotonic())
+        elif kind == "MISSION_SET_CURRENT":
+            said.told.append(f"current {message.seq}")
+        elif kind == "COMMAND_LONG" and message.command == SET_CURRENT:
+            said.told.append(f"current {message.param1:.0f}")
+        elif kind == "COMMAND_LONG" and message.command == SET_MODE:
+            said.told.append(f"mode {message.param2:.0f} {message.param3:.0f}")
 
     def _take(self, message: Any) -> None:
         kind, said = message.get_type(), self.said
@@ -138,6 +184,8 @@ class Pilot:
             return
         if kind == "HEARTBEAT":
             said.custom_mode, said.armed = message.custom_mode, bool(message.base_mode & 128)
+            if said.modes[-1:] != [message.custom_mode]:
+                said.modes.append(message.custom_mode)
         elif kind == "MISSION_CURRENT":
             if said.current[-1:] != [message.seq]:
                 said.current.append(message.seq)
@@ -147,6 +195,8 @@ class Pilot:
             said.height_m = message.relative_alt / 1000.0
         elif kind == "STATUSTEXT":
             said.autopilot_texts.append(message.text)
+        elif kind == "NAMED_VALUE_FLOAT":
+            said.floats[message.name] = message.value
         elif kind == "COMMAND_ACK":
             said.acks[message.command] = message.result
         elif message.get_type().startswith("MISSION_") and getattr(message, "target_system", 0) == 255:

@@ -69,6 +69,10 @@ class UdpPeer:
         packer = mavlink.MAVLink(None, srcSystem=SYSTEM, srcComponent=component)
         self._socket.sendto(message.pack(packer), self._vehicle)
 
+    def talk_to(self, vehicle: tuple[str, int]) -> None:
+        """Where to send to, before anything was heard."""
+        self._vehicle = vehicle
+
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()

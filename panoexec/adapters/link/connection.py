@@ -24,7 +24,7 @@ def open_connection(mavsdk: Mavsdk, url: ConnectionUrl) -> Any:
     """
     target = url
     if url.listens:
-        target = _listening(url)
+        target = listening(url)
     elif url.kind == "serial":
         _check_device(Path(url.path))
     try:
@@ -38,11 +38,14 @@ def close_connection(mavsdk: Mavsdk, handle: Any) -> None:
     mavsdk.remove_connection(handle)
 
 
-def _listening(url: ConnectionUrl) -> ConnectionUrl:
+def listening(url: ConnectionUrl) -> ConnectionUrl:
     """The URL with a resolved interface, after a check that the port is free.
 
     MAVSDK sets SO_REUSEADDR, with which Linux lets two programs bind one UDP port and delivers the packets to the later
     one: a second daemon would silently take over the first one's packets. A bind without the option fails instead.
+
+    Raises:
+        LinkError: it is in use, or there is no such interface.
     """
     udp = url.kind == "udpin"
     protocol = "UDP" if udp else "TCP"
