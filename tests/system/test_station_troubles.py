@@ -1,0 +1,179 @@
+"""What stations do about missions and flights that go wrong, as docs/stations.md says; and nothing accepted is untrue.
+
+On ArduPilot's and PX4's own software where ARDUPILOT_SITL and PX4_SITL name it; on the embedded vehicle one of them
+always, all with PANOEXEC_ALL_FAULTS=1 (`tests/unit/daemon/test_stations.py` has each in virtual time).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.system.sitl_kinds import ARDUCOPTER, PX4, Autopilot
+from tests.system.station_flights import FLOWN, Flight, embedded_flight, sitl_flight
+from tests.wire.broker import needs_mosquitto
+
+pytestmark = needs_mosquitto
+
+ALL_FAULTS = os.environ.get("PANOEXEC_ALL_FAULTS", "0") not in {"", "0"}
+HOLD_S = 40.0
+CONFIG = """[presets.small]
+elevation_deg = [-10, 15]
+azimuth_deg = [-30, 30]
+method = "paper"
+[presets.other]
+elevation_deg = [-10, 15]
+azimuth_deg = [150, 210]
+method = "paper"
+[presets.half]
+elevation_deg = [-10, 15]
+azimuth_deg = [-120, 120]
+method = "paper"
+[stations]
+enabled = true
+"""
+Opens = Callable[..., AbstractAsyncContextManager[Flight]]
+
+
+def _on(*which: str, always: bool = False) -> pytest.MarkDecorator:
+    """Run a test on these vehicles: `embedded-ardupilot`, `embedded-px4`, `ardupilot`, `px4`."""
+    cases = []
+    for name in which:
+        sitl = {"ardupilot": ARDUCOPTER, "px4": PX4}.get(name)
+        if sitl is None:
+            skip = pytest.mark.skipif(not always and not ALL_FAULTS, reason="set PANOEXEC_ALL_FAULTS=1 to run it")
+        else:
+            skip = pytest.mark.skipif(
+                not os.environ.get(sitl.variable), reason=f"set {sitl.variable} to its SITL binary to run it"
+            )
+        cases.append(pytest.param(_opener(name, sitl), id=name, marks=skip))
+    return pytest.mark.parametrize("opens", cases)
+
+
+def _opener(name: str, sitl: Autopilot | None) -> Opens:
+    @asynccontextmanager
+    async def opened(folder: Path, more: str = CONFIG, **settings: Any) -> AsyncIterator[Flight]:
+        kind: Any = name.removeprefix("embedded-")
+        second = settings.pop("second", None)
+        flight = (
+            embedded_flight(folder, more, autopilot=kind, second=second)
+            if sitl is None
+            else sitl_flight(folder, more, sitl, second=second, **settings)
+        )
+        async with flight as one:
+            try:
+                yield one
+            finally:
+                said = one.pilot.said
+                print(f"\n{name}: outcomes {one.outcomes}, {one.reasons}, told {said.told}, current {said.current}")
+                print(f"{name}: {said.texts}, modes {said.modes}")
+                if one.second is not None:
+                    print(f"{name}, second: outcomes {one.second.outcomes}, {one.second.reasons}")
+            assert one.untruths() == []
+
+    return opened
+
+
+ALL = ("embedded-ardupilot", "embedded-px4", "ardupilot", "px4")
+
+
+@_on(*ALL)
+async def test_unknown_presets_loops_and_uploads(opens: Opens, tmp_path: Path) -> None:
+    steps = [
+        ("station", 12, 9, 12.0),
+        ("station", 24, 1, HOLD_S),
+        ("waypoint", 30),
+        ("jump", 2, 1),
+        ("station", 36, 2, HOLD_S),
+        ("waypoint", 60),
+    ]
+    async with opens(tmp_path) as one, one.running():
+        unknown, known, last = one.first, one.first + 2, one.first + 6
+        said = one.pilot.said
+        await one.begin(*steps)
+        await one.pilot.until(lambda: f"Pano: waypoint {unknown}: there is no preset 9, 3 are" in said.texts)
+        await one.pilot.until(lambda: f"Pano: waypoint {known}: done already, not again" in said.texts, 240)
+        assert [waypoint for waypoint, _ in one.outcomes] == [known]
+        await one.at(last)
+        await one.until_state("capturing", 1)
+        told = len(said.told)
+        await one.upload(*steps[:-1], ("waypoint", 70))
+        await one.ground.until(lambda: one.closed() == 2, 180)
+        assert [waypoint for waypoint, _ in one.outcomes] == [known, last]
+        assert {outcome for _, outcome in one.outcomes} <= FLOWN
+        await asyncio.sleep(2.0)
+        assert said.told[told:] == []
+
+
+@_on(*ALL)
+async def test_the_pilot_takes_over_and_jumps(opens: Opens, tmp_path: Path) -> None:
+    steps = [("station", 12 * n, 3, HOLD_S) for n in (1, 2, 3)]
+    async with opens(tmp_path) as one, one.running():
+        first, second, third = (one.first + 2 * n for n in range(3))
+        said = one.pilot.said
+        await one.begin(*steps, ("waypoint", 60))
+        await one.until_state("capturing", 1)
+        await one.pilot.mode("loiter")
+        await one.until_state("paused")
+        assert "the pilot has taken over" in one.ground.state["reason"]
+        told = len(said.told)
+        await asyncio.sleep(3.0)
+        await one.pilot.mode("auto")
+        await one.at(second)
+        assert said.told[told:] == []
+        await one.until_state("capturing", 1)
+        one.pilot.jump_to(third)
+        await one.ground.until(lambda: one.closed() == 2, 60)
+        await one.at(third)
+        await one.until_state("capturing", 1)
+        told = len(said.told)
+        one.pilot.jump_to(second)
+        await one.pilot.until(lambda: f"Pano: waypoint {second}: done already, not again" in said.texts, 60)
+        assert said.told[told:] == []
+        assert one.outcomes == [(first, "incomplete"), (second, "incomplete"), (third, "incomplete")]
+        assert all("the vehicle flew on" in reason for reason in one.reasons)
+
+
+@_on(*ALL)
+async def test_a_battery_that_does_not_suffice(opens: Opens, tmp_path: Path) -> None:
+    async with opens(tmp_path, "hover_min = 0.1\n" + CONFIG) as one, one.running():
+        await one.begin(("station", 12, 1, HOLD_S), ("station", 24, 2, HOLD_S), ("waypoint", 40))
+        await one.at(one.first + 4)
+        await one.ground.until(lambda: one.closed() == 2, 30)
+        assert one.outcomes == [(one.first, "skipped"), (one.first + 2, "skipped")]
+        assert all(reason.startswith("battery at ") for reason in one.reasons)
+        assert sum("skipped: battery at " in text for text in one.pilot.said.texts) == 2
+        assert one.pilot.said.told == [f"current {one.first + 1}", f"current {one.first + 3}"]
+        assert one.manifests() == []
+
+
+@_on(*ALL)
+async def test_two_with_the_same_ids(opens: Opens, tmp_path: Path) -> None:
+    async with opens(tmp_path, second=CONFIG) as one:
+        assert one.second is not None
+        async with one.running(), one.second.running():
+            await one.begin(("station", 12, 1, 12.0), ("waypoint", 40))
+            await one.at(one.first + 2)
+            await one.ground.until(lambda: one.closed() == 1, 30)
+        assert one.outcomes == one.second.outcomes == [(one.first, "skipped")]
+        assert one.pilot.said.told == []
+
+
+@_on(*ALL)
+async def test_two_with_different_ids(opens: Opens, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async with opens(tmp_path, second=CONFIG) as one:
+        assert one.second is not None
+        other = one.second
+        async with one.running():
+            monkeypatch.setenv("PANOEXEC_VEHICLE__COMPONENT_ID", "192")
+            async with other.running():
+                await one.begin(("station", 12, 1, HOLD_S), ("station", 24, 1, HOLD_S), ("waypoint", 40))
+                await one.at(one.first + 4)
+                await one.ground.until(lambda: one.closed() == 2, 30)
+                await other.ground.until(lambda: other.closed() == 2, 30)
