@@ -15,15 +15,22 @@ _NAMED = 5
 
 
 class Ending:
-    """Determines a mission's final state.
-
-    Attributes:
-        certificate: of the measured attitudes; None before it was computed.
-    """
+    """Determines a mission's final state."""
 
     def __init__(self, context: MissionContext) -> None:
         self._context = context
-        self.certificate: Certificate | None = None
+        self._computed: Certificate | None = None
+        self._counted: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """Of the measured attitudes; None before it was computed, and once other photos are accepted than it counts."""
+        return self._computed if self._counted == self._accepted() else None
+
+    def _accepted(self) -> tuple[tuple[int, int], ...]:
+        """Shots and attempts whose photos are accepted."""
+        shots = self._context.record.shots.items()
+        return tuple((index, shot.accepted.number) for index, shot in sorted(shots) if shot.accepted is not None)
 
     async def finish(self) -> bool:
         """Certify the measured attitudes; returns whether the mission is over (no patches, no repeat to take)."""
@@ -84,8 +91,10 @@ class Ending:
         return self.certificate.holes[0]
 
     async def _certify(self) -> None:
+        counted = self._accepted()
         rotations, rows = self._context.record.measured()
-        self.certificate = await self._context.verifier.certify(rotations, rows) if rows else None
+        self._computed = await self._context.verifier.certify(rotations, rows) if rows else None
+        self._counted = counted
 
     async def _patched(self) -> bool:
         context, record = self._context, self._context.record

@@ -38,7 +38,7 @@ class Shooting:
         self._context = context
         self._guard_monitor = guard_monitor
         self._group = group
-        self._outstanding = 0
+        self._outstanding = self._followed = 0
         self._proven = asyncio.Event()
         self._must_keep_seq = 0
         self.began_s = math.nan
@@ -83,8 +83,12 @@ class Shooting:
                 await self._attempt(task)
 
     async def evidence_in(self) -> None:
-        """Return when no photo awaits evidence any more (each wait has a timeout), or the mission must stop."""
-        while self._outstanding and self._context.requests.stop is None:
+        """Return when no photo awaits evidence any more (each wait has a timeout), or the mission must stop.
+
+        That of photos that were accepted with less is waited for, too: it may take one back, and what is certified then
+        must be what stays accepted.
+        """
+        while (self._outstanding or self._followed) and self._context.requests.stop is None:
             self._proven.clear()
             await until(self._context.requests.stopping.wait(), self._proven.wait(), "last evidence")
         if self._context.requests.stop is None:
@@ -218,7 +222,12 @@ class Shooting:
         finally:
             self._outstanding -= 1
             self._proven.set()
-        await self._proof.follow_up(shot, number)
+        self._followed += 1
+        try:
+            await self._proof.follow_up(shot, number)
+        finally:
+            self._followed -= 1
+            self._proven.set()
 
     def accept(self, shot: int, number: int, photos: Sequence[ev.Photo], *, by: str) -> None:
         """See `Verdicts.accept`."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from panoexec.devices import EvidenceLevel
 from panoexec.errors import MissionError
 from panoexec.mission.executor import Mission
 from panoexec.mission.log import events as ev
@@ -251,3 +252,44 @@ def test_a_vehicle_that_calls_its_sensors_unhealthy_is_waited_for_a_moment(heals
     if not heals:
         assert "as unhealthy: compass, attitude estimator" in world.record.reason
         assert not world.gimbal.commands
+
+
+def test_a_photo_that_is_taken_back_after_its_acceptance_is_taken_again_before_the_certificate() -> None:
+    """What was certified was the panorama with it, so the mission was complete without it."""
+
+    async def contradict(world: World, mission: Mission) -> None:
+        del mission
+        await until_event(world, ev.ShotAccepted, 4)
+        await world.clock.sleep(1.0)
+        world.camera.contradictions[3] = "it may be another one"
+
+    world = fly(contradict, prepare=lambda w: setattr(w.camera, "level", EvidenceLevel.COUNTED))
+    assert [event.shot for event in world.sink.of(ev.ShotRevoked)] == [3]
+    assert world.record.state is S.COMPLETE
+    assert not world.record.missing()
+    assert world.record.attempts == 5
+
+
+def test_a_certificate_that_counts_a_photo_that_was_taken_back_proves_nothing() -> None:
+    """By its content, while the gimbal is released after the certificate."""
+
+    async def main() -> None:
+        async with a_world() as world:
+            mission = world.mission()
+            release = world.gimbal.release
+
+            async def taken_back() -> None:
+                if not world.sink.of(ev.ShotRevoked):
+                    assert mission.certificate is not None
+                    assert mission.certificate.certified
+                    mission._take_back(3, 1, "blurred", "a smear", ())
+                await release()
+
+            world.gimbal.release = taken_back  # type: ignore[method-assign]
+            record = await mission.run()
+            assert record.missing() == (3,)
+            assert record.state is S.INCOMPLETE
+            assert mission.certificate is None
+            assert world.sink.of(ev.MissionFinished)[0].certified is None
+
+    run_virtual(main())
