@@ -27,7 +27,7 @@ from tests.wire.sim_peer import EmbeddedPeer
 SIMULATE = [sys.executable, "-m", "panoexec", "simulate"]
 
 
-def simulate(*options: str, timeout_s: float = 20.0) -> subprocess.CompletedProcess[str]:
+def simulate(*options: str, timeout_s: float = 90.0) -> subprocess.CompletedProcess[str]:
     return subprocess.run([*SIMULATE, *options], capture_output=True, text=True, timeout=timeout_s, check=False)
 
 
@@ -36,7 +36,7 @@ def ground() -> Iterator[socket.socket]:
     """A ground station's UDP socket."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.1", 0))
-        sock.settimeout(20)
+        sock.settimeout(60)
         yield sock
 
 
@@ -60,7 +60,7 @@ def test_the_verb_says_how_to_connect_flies_and_ends_cleanly(
         children = children_of(process.pid)
         assert children
         process.send_signal(stop)
-        out, err = process.communicate(timeout=20)
+        out, err = process.communicate(timeout=90)
     assert process.returncode == code
     document = json.loads(out)
     assert document["connect"] == f"udpin://0.0.0.0:{port_of(ground)}"
@@ -133,7 +133,7 @@ def test_listening_it_answers_whoever_talks_first() -> None:
         client.sendto(heartbeat.pack(mavlink.MAVLink(None, 255, 190)), ("127.0.0.1", port))
         data = client.recv(65535)
         process.terminate()
-        process.communicate(timeout=10)
+        process.communicate(timeout=90)
     assert data[0] == 0xFD
 
 
