@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import math
+import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -34,6 +35,13 @@ DO_SET_MODE: Final = 176
 _CUSTOM_MODE: Final = 1
 _UPLOADED: Final = "flight plan received"
 """How ArduPilot announces an upload by STATUSTEXT; PX4 announces nothing, but tells the mission's id."""
+INTRODUCTION: Final = "{} stations in this mission"
+"""What panoexec says, behind its name, when it has read a mission; other ones on the vehicle know it by that."""
+_INTRODUCED: Final = re.compile("Pano: " + INTRODUCTION.format(r"\d+"))
+_GONE_S: Final = 5.0
+"""Another panoexec without heartbeats for so long flies no stations."""
+_AFTER_S: Final = 2.0
+"""So long after the panoexec that flies the stations, others read the mission."""
 _MODES: Final = {
     ("ardupilot", "MISSION"): (3.0,),
     ("ardupilot", "OFFBOARD"): (4.0,),
@@ -95,6 +103,7 @@ class AutopilotMission:
         digest: of these items; "" before they were read.
         stale: something hints that they are not the autopilot's any more.
         current: as told last; None before.
+        is_to_introduce: another panoexec was heard that may not know of this one.
     """
 
     def __init__(self, link: MavsdkLink) -> None:
@@ -103,6 +112,8 @@ class AutopilotMission:
         self.digest = ""
         self.stale = True
         self.current: Current | None = None
+        self.is_to_introduce = False
+        self._others: frozenset[int] = frozenset()
         self._link = link
         self._off: list[Callable[[], None]] = []
 
@@ -112,17 +123,27 @@ class AutopilotMission:
         return self._link.autopilot == "ardupilot"
 
     @property
-    def has_twin(self) -> bool:
-        """Whether another component uses this one's MAVLink ids: another panoexec."""
-        return self._link.has_id_conflict
+    def claimed(self) -> str:
+        """Why the mission is left to another panoexec on the vehicle; "" if it is not.
+
+        With the same MAVLink ids, none of them acts; with different ones, that with the lowest component id.
+        """
+        if self._link.has_id_conflict:
+            return "another panoexec has this vehicle's MAVLink ids"
+        now, components = time.monotonic(), self._link.components
+        alive = [one for one in self._others if now - components.get(one, (0, -math.inf))[1] < _GONE_S]
+        first = min(alive, default=self._link.own_ids[1])
+        return f"the panoexec of component {first} does it" if first < self._link.own_ids[1] else ""
 
     async def read(self) -> bool:
         """Read the mission; whether it is another one than before.
 
         Raises:
-            DeviceError: refused or not answered.
+            DeviceError: refused, not answered, or mixed with what another station reads.
             LinkError: no link.
         """
+        if self.claimed:  # what two read at the same time is of no use to either
+            await asyncio.sleep(_AFTER_S)
         self.stale = False
         plugin = self._link.requests.plugin(MissionRaw)
         try:
@@ -131,6 +152,9 @@ class AutopilotMission:
             self.stale = True
             raise
         items = tuple(_item(one) for one in told)
+        if [one.seq for one in items] != list(range(len(items))):  # MAVSDK takes the items that another one asked for
+            self.stale = True
+            raise DeviceError("reading the mission: another station reads it at the same time")
         digest = _digest(items)
         changed, self.items, self.digest = digest != self.digest, items, digest
         return changed
@@ -208,9 +232,12 @@ class AutopilotMission:
             self.stale = True
 
     def _announced(self, message: MavMessage) -> None:
-        text = str(message.fields.get("text", "")).lower()
-        if message.component_id == AUTOPILOT and text.startswith(_UPLOADED):
+        text, sender = str(message.fields.get("text", "")), message.component_id
+        if sender == AUTOPILOT and text.lower().startswith(_UPLOADED):
             self.stale = True
+        elif sender not in {AUTOPILOT, self._link.own_ids[1]} and _INTRODUCED.match(text):
+            self.is_to_introduce |= sender not in self._others
+            self._others |= {sender}
 
     # --- on the loop
 

@@ -70,6 +70,7 @@ class Pilot:
         self._in.robust_parsing = True
         self._autopilot: tuple[str, int] | None = None
         self._items: list[Any] = []
+        self._known: dict[int, socket.socket] = {}
         self._uploaded: asyncio.Future[int] | None = None
         self._near = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._near.bind(("127.0.0.1", port))
@@ -157,11 +158,17 @@ class Pilot:
             data = far.recv(65535)
             if self._autopilot is not None:
                 self._near.sendto(data, self._autopilot)
-            for other in self._far:
-                if other is not far:
-                    other.send(data)
             for message in parser.parse_buffer(data) or ():
                 self._take_daemons(message)
+                self._route(message, far)
+
+    def _route(self, message: Any, far: socket.socket) -> None:
+        """To the other daemon: what is addressed to it, or to everybody."""
+        self._known[message.get_srcComponent()] = far
+        to = getattr(message, "target_component", 0)
+        for other in self._far:
+            if other is not far and (to == 0 or self._known.get(to) is other):
+                other.send(message.get_msgbuf())
 
     def _take_daemons(self, message: Any) -> None:
         kind, said = message.get_type(), self.said

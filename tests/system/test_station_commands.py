@@ -28,7 +28,8 @@ COMMANDS = int(os.environ.get("PANOEXEC_COMMANDS", "20"))
 SPEEDUP = 4.0
 USER_1 = 31010
 PRESETS = '[presets.front]\nname = "In front"\nelevation_deg = [-60, 30]\n'
-ACCEPTED, REJECTED, DENIED, FAILED, IN_PROGRESS = 0, 1, 2, 4, 5
+ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = 0, 1, 2, 3, 4, 5
+REQUEST_MESSAGE, ARM = 512, 400
 START, PAUSE, RESUME, ABORT = 1, 2, 3, 4
 
 
@@ -39,6 +40,7 @@ class Station:
     port: int
     system: int = 255
     acks: list[tuple[float, int]] = field(default_factory=list)
+    other_acks: list[tuple[int, int]] = field(default_factory=list)
     texts: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -76,6 +78,10 @@ class Station:
                 kind = message.get_type()
                 if kind == "COMMAND_ACK" and message.target_system == self.system and message.command == USER_1:
                     self.acks.append((time.monotonic(), message.result))
+                elif (
+                    kind == "COMMAND_ACK" and message.target_system == self.system and message.get_srcComponent() == 191
+                ):
+                    self.other_acks.append((message.command, message.result))
                 elif kind == "STATUSTEXT" and message.get_srcComponent() == 191:
                     self.texts.append(message.text)
 
@@ -150,6 +156,10 @@ async def test_strangers_other_components_and_wrong_parameters_start_nothing(tmp
         station.command(START, 2)
         await ground.until(lambda: station.results == [DENIED])
         await ground.until(lambda: "Pano: start refused: there is no preset 2, 1 are" in station.texts)
+        for number in (REQUEST_MESSAGE, REQUEST_MESSAGE, ARM):  # others' programs ask each component again and again
+            station.send(mavlink.MAVLink_command_long_message(1, 191, number, 0, 280, 0, 0, 0, 0, 0, 0))
+        await ground.until(lambda: len(station.other_acks) == 3)
+        assert station.other_acks == [(REQUEST_MESSAGE, UNSUPPORTED)] * 2 + [(ARM, UNSUPPORTED)]
         station.command(9)
         await ground.until(lambda: station.results == [DENIED, DENIED])
         assert ground.types() == []

@@ -3,6 +3,10 @@
 MAVSDK passes COMMAND_LONG (76) and COMMAND_INT (75) on and does not answer this command itself (measured with 4.1), so
 the acknowledgements (COMMAND_ACK, 77) are sent here: IN_PROGRESS at once where the work takes longer, then one result.
 
+Other commands that are addressed to it are answered with UNSUPPORTED. MAVSDK answers none of them, and the MAVSDK of
+another program on the vehicle, which asks each component for messages (512) again and again, waits for its answer
+before it sends its next command (measured: the photos of two panoexec with different ids were 2.6 s late, or failed).
+
 MAVLink delivers a command more than once: a sender that misses the acknowledgement repeats it with a higher
 `confirmation`, and routers forward copies. A copy is never carried out again. A repetition gets the acknowledgement
 again; a copy with the same `confirmation` does not.
@@ -155,11 +159,16 @@ class CommandInbox:
     def _received(self, message: MavMessage) -> None:
         """In MAVSDK's thread."""
         fields = message.fields
-        if int(fields["command"]) == USER_1 and self._is_for_us(fields["target_system"], fields["target_component"]):
-            self._link.post(self._take, message)
+        if not self._is_for_us(fields["target_system"], fields["target_component"]):
+            return
+        self._link.post(self._take if int(fields["command"]) == USER_1 else self._refuse, message)
 
     def _is_for_us(self, system: int, component: int) -> bool:
         return (int(system), int(component)) == self._link.own_ids
+
+    def _refuse(self, message: MavMessage) -> None:
+        sender, number = (message.system_id, message.component_id), int(message.fields["command"])
+        self._spawn(self._answer(sender, number, Result.UNSUPPORTED))
 
     def _take(self, message: MavMessage) -> None:
         command = _command_of(message)
@@ -192,8 +201,11 @@ class CommandInbox:
         return system in self._commanders
 
     async def _acknowledge(self, command: StationCommand, result: Result) -> None:
-        system, component = command.sender
-        fields = {"command": USER_1, "result": int(result), "progress": 255, "result_param2": 0}
+        await self._answer(command.sender, USER_1, result)
+
+    async def _answer(self, sender: tuple[int, int], command: int, result: Result) -> None:
+        system, component = sender
+        fields = {"command": command, "result": int(result), "progress": 255, "result_param2": 0}
         fields |= {"target_system": system, "target_component": component}
         try:
             await self._link.requests.send("acknowledging a command", "COMMAND_ACK", fields)

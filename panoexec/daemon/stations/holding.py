@@ -22,6 +22,8 @@ from panoexec.errors import DeviceError
 MISSION_MODE: Final = "MISSION"
 _LEFT_FRAC: Final = 0.5
 """The hold time is begun anew when so much of it is left, so that a restart of the process fits into the rest."""
+READ_AGAIN_S: Final = 2.0
+"""After a mission that could not be read."""
 _RETRY_S: Final = 1.0
 _GO_ON_S: Final = 3.0
 
@@ -63,7 +65,7 @@ class Holding:
         self._digest = mission.digest
         self._clock = clock
         self._ends_s = since_s + station.hold_s if math.isfinite(since_s) else -math.inf
-        self._tried_s = -math.inf
+        self._tried_s = self._failed_s = -math.inf
 
     @property
     def left_s(self) -> float:
@@ -81,10 +83,11 @@ class Holding:
         if status.connected and status.mode not in {self.mode, ""} and not self.taken:
             self.taken = True
             _log.warning("the pilot has taken over at a station", waypoint=self._station.waypoint, mode=status.mode)
-        if self._mission.stale and self.may_act:
+        if self._mission.stale and self.may_act and self._clock.monotonic() - self._failed_s >= READ_AGAIN_S:
             try:
                 await self._mission.read()
             except DeviceError as error:
+                self._failed_s = self._clock.monotonic()
                 _log.info("the mission could not be read", error=str(error))
         if self._mission.digest != self._digest and not self.changed:
             self.changed = True

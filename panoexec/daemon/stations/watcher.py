@@ -11,12 +11,12 @@ from typing import Any, Final
 
 import structlog
 
-from panoexec.adapters.autopilot_mission import COMPLETE, AutopilotMission
+from panoexec.adapters.autopilot_mission import COMPLETE, INTRODUCTION, AutopilotMission
 from panoexec.clock import Clock
 from panoexec.daemon.missions import Missions
 from panoexec.daemon.own_requests import submit
 from panoexec.daemon.stations.arrival import Arrival
-from panoexec.daemon.stations.holding import MISSION_MODE, Holding
+from panoexec.daemon.stations.holding import MISSION_MODE, READ_AGAIN_S, Holding
 from panoexec.daemon.stations.marked import Station, marked_stations
 from panoexec.daemon.stations.refusals import refusal
 from panoexec.daemon.stations.tour_log import TourLog
@@ -32,8 +32,6 @@ from panoexec.planning.model import Plan
 from panoexec.store.tours import OPEN, Stop
 
 TICK_S: Final = 0.2
-_READ_AGAIN_S: Final = 2.0
-"""After a mission that could not be read."""
 _MODE_S: Final = 3.0
 _RELEASING: Final = frozenset({"pilot", "landed", "battery", "gimbal_control"})
 """Codes of pauses after which the vehicle is not kept at the station."""
@@ -143,10 +141,13 @@ class Stations:
             self._arrival.forget()
             return
         now = self._clock.monotonic()
-        if mission.stale and self._vehicle.devices is not None and now - self._read_s >= _READ_AGAIN_S:
+        if mission.stale and self._vehicle.devices is not None and now - self._read_s >= READ_AGAIN_S:
             self._read_s = now
             await self._read(mission)
             self._read_s = -math.inf
+        if mission.is_to_introduce and self._stations:
+            mission.is_to_introduce = False
+            await self._say(INTRODUCTION.format(len(self._stations)))
         current = mission.current
         if current is None or not self._digest:
             return
@@ -177,7 +178,7 @@ class Stations:
         for problem in problems:
             await self._say(problem)
         if found:
-            await self._say(f"{len(found)} stations in this mission")
+            await self._say(INTRODUCTION.format(len(found)))
         self._changed()
         if self._planning is not None:
             self._planning.cancel()
@@ -234,7 +235,7 @@ class Stations:
             else:
                 stop = replace(stop, outcome="skipped", reason=refused)
                 await self._say(f"waypoint {station.waypoint} skipped: {refused}")
-            if stop.outcome != OPEN and not mission.has_twin:
+            if stop.outcome != OPEN and not mission.claimed:
                 stop = await self._leave(station, stop, holding)
         finally:
             self._done_at = station.waypoint
@@ -246,9 +247,7 @@ class Stations:
 
     def _refusal(self, station: Station, mission: AutopilotMission) -> str:
         """Why no panorama is to be flown; "" if it may."""
-        if mission.has_twin:
-            return "another panoexec has this vehicle's MAVLink ids"
-        return refusal(
+        return mission.claimed or refusal(
             self._config(),
             self._vehicle.status,
             station,

@@ -80,7 +80,8 @@ class World:
     battery_frac: float = 0.9
     position_ok: bool = True
     armed: bool = True
-    twin: bool = False
+    claimed: str = ""
+    is_to_introduce: bool = False
     plan_s: float = 25.0
     plan_error: Exception | None = None
     refuses: str = ""
@@ -169,10 +170,6 @@ class World:
     @property
     def autopilot_mission(self) -> World:
         return self
-
-    @property
-    def has_twin(self) -> bool:
-        return self.twin
 
     @property
     def current(self) -> Current:

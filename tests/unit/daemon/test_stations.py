@@ -196,11 +196,23 @@ async def test_a_loop_flies_no_second_panorama_unless_it_may(tmp_path: Path) -> 
     assert twice.outcomes == [(1, "complete"), (1, "complete")]
 
 
-async def test_two_with_the_same_ids_leave_the_mission_alone(tmp_path: Path) -> None:
-    flown = await world(tmp_path, twin=True).run(100)
+async def test_what_another_one_does_is_left_to_it(tmp_path: Path) -> None:
+    flown = await world(tmp_path, claimed="the panoexec of component 191 does it").run(100)
     assert set(flown.outcomes) == {(1, "skipped"), (3, "skipped")}
     assert not flown.told("current")
     assert not flown.told("start")
+
+
+async def test_one_introduces_itself_to_another_one(tmp_path: Path) -> None:
+    flown = world(tmp_path)
+
+    def another(world: World) -> None:
+        world.is_to_introduce = True
+
+    flown.script = [(3, another)]
+    await flown.run(5)
+    assert flown.said == ["2 stations in this mission"] * 2
+    assert not flown.is_to_introduce
 
 
 async def test_where_holds_are_not_prolonged_a_short_one_is_skipped(tmp_path: Path) -> None:
