@@ -98,7 +98,8 @@ async def test_no_photo_is_taken_without_a_gps_fix(tmp_path: Path, autopilot: st
     fault = f"gps-lost={start_s:g}+{lasts_s:g}"
     summary, events = await _fly(_options(tmp_path, fault, images=True, autopilot=autopilot))
     assert summary.state == "complete"
-    paused = [event for event in events if isinstance(event, MissionPaused)]
+    # a machine that is too busy for the simulator silences the link, too, which is another hold of its own
+    paused = [event for event in events if isinstance(event, MissionPaused) and event.code != "link"]
     assert [(event.code, event.automatic) for event in paused] == [("fix", True)]
     assert "no 3D fix" in paused[0].reason
     taken_s = [exposure["sim_s"] for exposure in _exposures(summary.directory)]
@@ -111,7 +112,7 @@ async def test_no_photo_is_taken_without_a_gps_fix(tmp_path: Path, autopilot: st
 async def test_a_gps_that_stays_away_ends_in_the_failsafe_and_takes_no_more_photos(tmp_path: Path) -> None:
     summary, events = await _fly(_options(tmp_path, "gps-lost=3+60", images=True))
     assert summary.state == "failed"
-    codes = [event.code for event in events if isinstance(event, MissionPaused)]
+    codes = [event.code for event in events if isinstance(event, MissionPaused) and event.code != "link"]
     assert codes[0] == "fix"
     assert "pilot" in codes[-1], "the estimator's failsafe lands: the gimbal is released"
     assert any(event.type == "gimbal_released" for event in events)
