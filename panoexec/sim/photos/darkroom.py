@@ -211,14 +211,14 @@ def _answer(document: dict[str, Any]) -> None:
 
 
 def _renderer(setup: dict[str, Any]) -> Any:
-    from panoexec.sim.photos.render import Renderer  # noqa: PLC0415  (the client needs neither the renderer nor Pillow)
-    from panoexec.sim.photos.scene import load_scene, procedural_scene  # noqa: PLC0415
+    # the client needs neither the renderer nor Pillow
+    from panoexec.sim.photos.render import Renderer, pixels_per_radian  # noqa: PLC0415
+    from panoexec.sim.photos.scene import load_scene, procedural_scene, width_for_photos_px  # noqa: PLC0415
 
-    return Renderer(
-        load_scene(Path(setup["scene"]))
-        if setup["scene"]
-        else procedural_scene(setup["seed"], kind=setup["scene_kind"])
-    )
+    if setup["scene"]:
+        return Renderer(load_scene(Path(setup["scene"])))
+    fine = pixels_per_radian(Camera.from_plain(setup["camera"]), setup["width_px"])
+    return Renderer(procedural_scene(setup["seed"], width_for_photos_px(fine), setup["scene_kind"]))
 
 
 def _develop(renderer: Any, camera: Camera, setup: dict[str, Any], job: dict[str, Any], last: bytes) -> bytes:

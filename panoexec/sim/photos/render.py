@@ -40,6 +40,11 @@ def image_size(camera: Camera, width_px: int) -> tuple[int, int]:
     return width_px, max(1, round(width_px * camera.pinhole_half_height / camera.pinhole_half_width))
 
 
+def pixels_per_radian(camera: Camera, width_px: int) -> float:
+    """How fine an image of that width is in its centre."""
+    return width_px / (2 * camera.pinhole_half_width)
+
+
 class Renderer:
     """Renders images of one scene; caches downsampled copies of it for coarse images.
 
@@ -97,8 +102,7 @@ def _level(scene: Scene, camera: Camera, width_px: int) -> int:
 
     A side of an odd number of pixels is not halved: that would shift pixel centres.
     """
-    pixels_per_radian = width_px / (2 * camera.pinhole_half_width)
-    wanted = max(0, round(math.log2(scene.pixels_per_radian / pixels_per_radian)))
+    wanted = max(0, round(math.log2(scene.pixels_per_radian / pixels_per_radian(camera, width_px))))
     height = scene.width_px // 2
     halvings = (height & -height).bit_length() - 1
     return min(wanted, halvings)

@@ -26,6 +26,11 @@ DEFAULT_WIDTH_PX: Final = 4096
 MAX_WIDTH_PX: Final = 16384
 MIN_WIDTH_PX: Final = 64
 
+_LEAST_WIDTH_PX: Final = 1024
+"""Less is painted within 0.1 s: it would save nothing."""
+_FINER: Final = 2.0
+"""A scene that is painted for photos has at least so many times the pixels per radian that their centre has."""
+
 _BLOCK_PIXELS: Final = 1 << 17
 """Pixels painted at a time, so that the float32 arrays fit the processor's cache."""
 
@@ -108,6 +113,18 @@ def procedural_scene(seed: int = 1, width_px: int = DEFAULT_WIDTH_PX, kind: str 
     if width_px % 2 or not MIN_WIDTH_PX <= width_px <= MAX_WIDTH_PX:
         raise ValueError(f"width_px must be even and within {MIN_WIDTH_PX} to {MAX_WIDTH_PX}, got {width_px}")
     return _procedural_scene(seed, width_px, kind)
+
+
+def width_for_photos_px(pixels_per_radian: float) -> int:
+    """How wide a generated scene need be, at most `DEFAULT_WIDTH_PX`: painting that takes longer than small photos.
+
+    Args:
+        pixels_per_radian: in the centre of the photos.
+    """
+    width_px = DEFAULT_WIDTH_PX
+    while width_px > _LEAST_WIDTH_PX and width_px / 2 >= _FINER * 2 * np.pi * pixels_per_radian:
+        width_px //= 2
+    return width_px
 
 
 @lru_cache(maxsize=2)

@@ -8,7 +8,7 @@ import pytest
 
 from panoexec.angles import direction, elevation_azimuth
 from panoexec.errors import InputFileError
-from panoexec.sim.photos.scene import load_scene, procedural_scene
+from panoexec.sim.photos.scene import DEFAULT_WIDTH_PX, load_scene, procedural_scene, width_for_photos_px
 
 
 def test_the_same_seed_gives_the_same_scene_another_seed_another() -> None:
@@ -64,6 +64,12 @@ def test_sky_is_brighter_and_bluer_than_ground_and_the_horizon_is_the_middle() -
 def test_invalid_sizes_are_rejected(width: int) -> None:
     with pytest.raises(ValueError, match="width_px"):
         procedural_scene(1, width)
+
+
+def test_a_scene_is_painted_as_fine_as_its_photos_show() -> None:
+    """A photo of 160 px that is 60° wide has 139 px a radian: a scene of 2048 px has 2.3 times as many."""
+    widths = {fine: width_for_photos_px(fine) for fine in (10.0, 139.0, 160.0, 170.0, 320.0, 5000.0)}
+    assert widths == {10.0: 1024, 139.0: 2048, 160.0: 2048, 170.0: 4096, 320.0: 4096, 5000.0: DEFAULT_WIDTH_PX}
 
 
 @pytest.mark.parametrize("name", ["scene.png", "scene.jpg"])
