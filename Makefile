@@ -24,7 +24,8 @@ experiment: $(VENV)/.sim  ## reproduce the paper's simulation (installs hugin-to
 
 test: $(VENV)/.dev        ## run the tests (installs mosquitto if missing)
 	@.ci/setup tests
-	$(BIN)/pytest -n $(WORKERS) --dist loadfile $(ARGS)
+	@# as collected: whole processes first, so that no long file is left for the end, when other workers have no more
+	$(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
 test-all: $(VENV)/.dev    ## run every test and campaign that this machine can (hours; ARDUPILOT_SITL, PX4_SITL name autopilots)
 	@.ci/setup tests hugin chromium
