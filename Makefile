@@ -76,7 +76,7 @@ $(VENV)/bin/python:
 	@$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.sim: pyproject.toml | $(VENV)/bin/python
-	@.ci/pip $(BIN)/python "installing (once)" --editable '.[sim,report,web]'
+	@.ci/pip $(BIN)/python "installing (once)" --editable '.[sim,report]'
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python

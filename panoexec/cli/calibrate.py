@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import importlib.util
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -73,9 +72,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _lens(missions: Sequence[tuple[Mapping[str, Any], Path]]) -> LensProposal | None:
-    if importlib.util.find_spec("PIL") is None:
-        return None
-    from panoexec.exports.lens_calibration import propose_lens  # noqa: PLC0415  (it needs Pillow)
+    from panoexec.exports.lens_calibration import propose_lens  # noqa: PLC0415  (it imports Pillow)
 
     return propose_lens(missions)
 
@@ -100,7 +97,7 @@ def _lens_json(lens: LensProposal | None) -> dict[str, Any] | None:
 
 def _print_lens(lens: LensProposal | None) -> None:
     if lens is None:
-        note("the lens: nothing, without the photos of one camera in the mission directories (and Pillow)")
+        note("the lens: nothing, without the photos of one camera in the mission directories")
         return
     print_table(
         f"lens, from {lens.points} points of {lens.missions} missions",

@@ -63,9 +63,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run until Ctrl-C, or until one of the programs ends."""
-    for package, extra in (("aiohttp", "web"), ("mavsdk", "sim"), ("pymavlink", "sim"), ("PIL", "sim")):
+    for package in ("mavsdk", "pymavlink"):
         if importlib.util.find_spec(package) is None:
-            raise DependencyError(f"`demo` needs the Python package {package}: {to_install(extra)}")
+            raise DependencyError(f"`demo` needs the Python package {package}: {to_install('sim')}")
     broker = next(filter(None, map(shutil.which, _MOSQUITTO)), None)
     if broker is None:
         raise UsageError("`demo` needs the MQTT broker mosquitto: apt install mosquitto")

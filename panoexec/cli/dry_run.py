@@ -116,9 +116,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fly the mission with a live view and print the summary."""
-    for package in ("pymavlink", "PIL"):
-        if importlib.util.find_spec(package) is None:
-            raise DependencyError(f"`dry-run` needs the Python package {package}: {to_install('sim')}")
+    if importlib.util.find_spec("pymavlink") is None:
+        raise DependencyError(f"`dry-run` needs the Python package pymavlink: {to_install('sim')}")
     configure_logs("debug" if args.verbose else "warning", "human")
     if args.scene:
         load_scene(args.scene)  # a bad scene is reported before any work

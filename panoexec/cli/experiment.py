@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from panoexec.cli.output import completeness, console, note, percent, print_json, print_table
-from panoexec.errors import DependencyError, to_install
 
 if TYPE_CHECKING:
     from panoexec.experiment.capture import Spread
@@ -79,13 +78,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the cases and print the table."""
-    try:
-        from panoexec.experiment.cases import cases  # noqa: PLC0415
-        from panoexec.experiment.running import Setting  # noqa: PLC0415
-    except ModuleNotFoundError as error:
-        if error.name and error.name.startswith("panoexec"):
-            raise
-        raise DependencyError(f"`experiment` needs the Python package {error.name}: {to_install('sim')}") from error
+    from panoexec.experiment.cases import cases  # noqa: PLC0415
+    from panoexec.experiment.running import Setting  # noqa: PLC0415
+
     scenarios = (1, 2, 3) if args.scenario == "all" else (int(args.scenario),)
     wanted = cases(scenarios, tuple(dict.fromkeys(args.plans)), args.seeds, args.repeats)
     if args.geometry:

@@ -37,9 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run until interrupted and return the exit code."""
     config = config_of(args, simulated_camera(args))
-    for package in ("pymavlink", "PIL"):
-        if importlib.util.find_spec(package) is None:
-            raise DependencyError(f"`simulate` needs the Python package {package}: {to_install('sim')}")
+    if importlib.util.find_spec("pymavlink") is None:
+        raise DependencyError(f"`simulate` needs the Python package pymavlink: {to_install('sim')}")
     from panoexec.sim.server import run_simulation  # noqa: PLC0415  (imports pymavlink)
 
     def ready(state: Ready) -> None:

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from panoexec.cli.output import completeness, console, note, print_facts, print_json, print_table
-from panoexec.errors import DependencyError, UsageError, to_install
+from panoexec.errors import UsageError
 from panoexec.store.directory import MissionDirectory
 
 if TYPE_CHECKING:
@@ -58,13 +58,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Stitch the photos and print the result."""
-    try:
-        from panoexec.stitching.mission import load_mission  # noqa: PLC0415
-        from panoexec.stitching.pipeline import StitchOptions  # noqa: PLC0415
-    except ModuleNotFoundError as error:
-        if error.name and error.name.startswith("panoexec"):
-            raise
-        raise DependencyError(f"`stitch` needs the Python package {error.name}: {to_install('report')}") from error
+    from panoexec.stitching.mission import load_mission  # noqa: PLC0415
+    from panoexec.stitching.pipeline import ContentRefusedError, StitchOptions  # noqa: PLC0415
+
     mission = load_mission(args.mission)
     for name, reason in mission.left_out.items():
         note(f"left out: {name} {reason}")
@@ -76,8 +72,6 @@ def run(args: argparse.Namespace) -> int:
         restart=args.restart,
         matcher=args.matcher,
     )
-    from panoexec.stitching.pipeline import ContentRefusedError  # noqa: PLC0415
-
     try:
         result = _stitch(mission, options)
     except ContentRefusedError as error:

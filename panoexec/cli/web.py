@@ -28,7 +28,7 @@ from panoexec.cli.broker_options import add_broker_arguments, broker_of
 from panoexec.cli.one_heap import use_one_heap
 from panoexec.cli.output import note
 from panoexec.daemon.sdnotify import SystemdNotifier
-from panoexec.errors import DependencyError, UsageError, to_install
+from panoexec.errors import UsageError
 from panoexec.inputs.config import load_config
 from panoexec.inputs.service_sections import LogSection, WebSection, listen_address
 from panoexec.logs import configure_logs
@@ -58,12 +58,8 @@ def run(args: argparse.Namespace) -> int:
     if args.add_user is not None or args.remove_user is not None:
         return _change_users(args)
     use_one_heap()
-    try:
-        from panoexec.web.server import Options, Server  # noqa: PLC0415  (changing users needs none of it)
-    except ModuleNotFoundError as error:
-        if error.name and error.name.startswith("panoexec"):
-            raise
-        raise DependencyError(f"`web` needs the Python package {error.name}: {to_install('web')}") from error
+    from panoexec.web.server import Options, Server  # noqa: PLC0415  (changing users needs none of it)
+
     try:
         mqtt, _ = broker_of(args)
         section, log, storage = _sections(args)

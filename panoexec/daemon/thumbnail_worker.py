@@ -29,7 +29,7 @@ def thumbnail(photo: Path) -> bytes:
     Raises:
         OSError, ValueError, SyntaxError: the photo cannot be decoded.
     """
-    import PIL.Image  # noqa: PLC0415  (an optional dependency, which the daemon starts without)
+    import PIL.Image  # noqa: PLC0415  (when there is a photo)
     import PIL.ImageOps  # noqa: PLC0415
 
     with PIL.Image.open(photo) as picture:
@@ -56,8 +56,6 @@ def _work() -> None:
             path = Path(job["thumbnail"])
             path.parent.mkdir(exist_ok=True)
             write_atomically(path, thumbnail(Path(job["photo"])), sync=False)
-        except ImportError:
-            problem = "thumbnails need Pillow"
         except (PanoexecError, OSError, ValueError, SyntaxError) as error:
             problem = str(error) or type(error).__name__
         print(json.dumps({"error": problem}), flush=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import importlib.util
 import os
 import pwd
 import shutil
@@ -17,7 +16,7 @@ from typing import Final
 
 from panoexec.adapters.link.connection_url import parse_connection
 from panoexec.doctor.findings import Findings
-from panoexec.errors import UsageError, to_install
+from panoexec.errors import UsageError
 from panoexec.inputs.config import Config
 from panoexec.store.directory import mission_directories
 
@@ -33,7 +32,6 @@ def check_machine(config: Config, config_file: Path, findings: Findings) -> None
     """Check clock, disk and permissions. Blocking; writes a small file into the storage and removes it."""
     check_clock(config.storage.path, findings)
     check_disk(config, findings)
-    check_downloads(config, findings)
     check_permissions(config, config_file, findings)
 
 
@@ -81,22 +79,6 @@ def _newest_mission(storage: Path) -> str:
     except OSError:
         return ""
     return missions[-1].mission_id if missions else ""
-
-
-# --- photos
-
-
-def check_downloads(config: Config, findings: Findings) -> None:
-    """Check that photos can be fetched from the hosts that the configuration names."""
-    hosts = config.camera.file_hosts
-    if hosts and importlib.util.find_spec("aiohttp") is None:
-        findings.warning(
-            "disk",
-            "photos by HTTP",
-            f"aiohttp is not installed; photos of {', '.join(hosts)} stay in the camera",
-            needed="aiohttp",
-            advice=to_install("files"),
-        )
 
 
 # --- disk

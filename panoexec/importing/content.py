@@ -5,7 +5,6 @@ One photo that contradicts its neighbours may have a wrong attitude; several of 
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Sequence
 from typing import Final
 
@@ -36,9 +35,7 @@ def contradictions(
     Returns:
         What contradicts the pairing, a line each; and what is known of the content, in words.
     """
-    if importlib.util.find_spec("PIL") is None:
-        return [], "content unchecked: it needs Pillow"
-    from panoexec.pictures.examiner import Examiner  # noqa: PLC0415  (optional dependency)
+    from panoexec.pictures.examiner import Examiner  # noqa: PLC0415  (it imports Pillow)
     from panoexec.pictures.model import Content, PhotoToCheck  # noqa: PLC0415
 
     examiner = Examiner(plan.camera)

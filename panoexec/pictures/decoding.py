@@ -15,14 +15,8 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 import numpy as np
+import PIL.Image
 from numpy.typing import NDArray
-
-from panoexec.errors import DependencyError, to_install
-
-try:
-    import PIL.Image
-except ImportError as _error:
-    raise DependencyError(f"examining photos needs Pillow: {to_install('service')}") from _error
 
 Grey: TypeAlias = NDArray[np.uint8]
 

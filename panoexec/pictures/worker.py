@@ -41,7 +41,7 @@ def main() -> None:
 
 class _Session:
     def __init__(self) -> None:
-        from panoexec.pictures.examiner import Examiner  # noqa: PLC0415  (so that a missing Pillow is an answer)
+        from panoexec.pictures.examiner import Examiner  # noqa: PLC0415  (the priority is lowered before)
 
         self._kind = Examiner
         self._examiner: Any = None

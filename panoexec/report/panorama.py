@@ -1,7 +1,7 @@
 """The panorama in a report: the stitched one, else a quick look.
 
 The quick look projects each accepted photo by its measured attitude and blends it by feathering, without control
-points: seams and holes are visible, and only Pillow is required.
+points: seams and holes are visible, and Hugin is not required.
 """
 
 from __future__ import annotations
@@ -16,15 +16,12 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from panoexec.angles import FloatArray, rotation_from_quaternion
-from panoexec.errors import to_install
 from panoexec.exports.from_manifest import camera_of, export_set
 from panoexec.optics import Camera
 from panoexec.report.source import Source
 
 QUICK_WIDTH_PX: Final = 2048
 STITCHED_WIDTH_PX: Final = 4096
-_UNCHANGED_MAX_BYTES: Final = 4 << 20
-"""Without Pillow, a stitched preview up to this size is embedded unchanged."""
 _WARM_UP_PHOTOS: Final = 2
 """Number of photos before the duration of a quick look is estimated; the first ones are slower."""
 _EMPTY: Final = (30, 33, 39)
@@ -52,10 +49,6 @@ def best_picture(source: Source, *, max_cpu_s: float = math.inf) -> tuple[Panora
         source: the mission.
         max_cpu_s: CPU time limit of a quick look; one that is expected to take longer is aborted.
     """
-    try:
-        import PIL.Image  # noqa: F401, PLC0415 - optional dependency
-    except ImportError:
-        return _stitched_unchanged(source), f"needs Pillow: {to_install('report')}, then `panoexec report`"
     stitched = _stitched(source)
     if stitched is not None:
         return stitched, ""
@@ -70,15 +63,8 @@ def _stitched_path(source: Source) -> Path | None:
     return path if path.is_file() else None
 
 
-def _stitched_unchanged(source: Source) -> Panorama | None:
-    path = _stitched_path(source)
-    if path is None or path.stat().st_size > _UNCHANGED_MAX_BYTES:
-        return None
-    return Panorama(jpeg=path.read_bytes(), kind="stitched")
-
-
 def _stitched(source: Source) -> Panorama | None:
-    import PIL.Image  # noqa: PLC0415 - optional dependency
+    import PIL.Image  # noqa: PLC0415  (for missions that have photos)
 
     path = _stitched_path(source)
     if path is None:
@@ -171,7 +157,7 @@ class _Canvas:
 
     def jpeg(self) -> bytes:
         """The canvas as JPEG."""
-        import PIL.Image  # noqa: PLC0415 - optional dependency
+        import PIL.Image  # noqa: PLC0415  (for missions that have photos)
 
         out = (self._sum / np.maximum(self._weight, np.float32(1e-12))[..., None] + np.float32(0.5)).astype(np.uint8)
         out[self._weight == 0] = _EMPTY
@@ -179,7 +165,7 @@ class _Canvas:
 
     def _read(self, path: Path, orientation: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
         """A photo, upright, at about the resolution of the canvas."""
-        import PIL.Image  # noqa: PLC0415 - optional dependency
+        import PIL.Image  # noqa: PLC0415  (for missions that have photos)
 
         wanted = max(32, round(self._width / math.pi * max(self._half_width, self._half_height)))
         with PIL.Image.open(path) as picture:

@@ -1,4 +1,4 @@
-"""Starts and stops the simulated vehicle as a child process; needs neither pymavlink nor Pillow itself."""
+"""Starts and stops the simulated vehicle as a child process; does not import pymavlink itself."""
 
 from __future__ import annotations
 
@@ -122,8 +122,8 @@ async def running_simulator(
         paced: simulated time does not advance until `SimulatorProcess.allow`.
 
     Raises:
-        UsageError: the configuration is invalid (scene not an image, output not writable), or pymavlink or Pillow is
-            missing; the message is the simulation's own.
+        UsageError: the configuration is invalid (scene not an image, output not writable), or pymavlink is missing;
+            the message is the simulation's own.
         LinkError: a port is in use, or there is no autopilot to attach to.
         DeviceError: it did not start.
     """

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import importlib.util
 import json
 import os
 import shutil
@@ -70,9 +69,6 @@ class Library:
         """Why nothing can be stitched here; "" if it can."""
         if self._storage is None:
             return "no missions are stored on this computer"
-        missing = [name for name in ("numpy", "PIL") if importlib.util.find_spec(name) is None]
-        if missing:
-            return "stitching needs pip install 'panoexec[report]'"
         if shutil.which("nona") is None:
             return "Hugin's tools are not installed on this computer"
         if not os.access(self._storage / "missions", os.W_OK):

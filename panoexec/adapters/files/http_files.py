@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import importlib.util
 import json
 import sys
 from collections.abc import Callable, Iterable
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import urlsplit
 
-from panoexec.errors import PhotoFileError, to_install
+from panoexec.errors import PhotoFileError
 
 MAX_BYTES: Final = 256 * 1024 * 1024
 TIMEOUT_S: Final = 600.0
@@ -100,8 +99,6 @@ class HttpFiles:
 
     async def _started(self) -> asyncio.subprocess.Process:
         if self._process is None or self._process.returncode is not None:
-            if importlib.util.find_spec("aiohttp") is None:
-                raise PhotoFileError(f"photos by HTTP need aiohttp: {to_install('files')}", final=True)
             self._process = await asyncio.create_subprocess_exec(
                 sys.executable,
                 "-m",

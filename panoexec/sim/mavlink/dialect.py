@@ -16,6 +16,6 @@ os.environ["MAVLINK_DIALECT"] = "ardupilotmega"
 try:
     from pymavlink.dialects.v20 import ardupilotmega as mavlink
 except ImportError as error:
-    raise DependencyError(f"the simulated vehicle needs pymavlink and Pillow: {to_install('sim')}") from error
+    raise DependencyError(f"the simulated vehicle needs pymavlink: {to_install('sim')}") from error
 
 __all__ = ["mavlink"]

@@ -10,20 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import PIL.ExifTags
+import PIL.Image
+from PIL.TiffImagePlugin import IFDRational
 
 from panoexec.angles import rotation_from_quaternion, yaw_pitch_roll
 from panoexec.devices import Quaternion
-from panoexec.errors import DependencyError, to_install
 from panoexec.files import write_atomically
 from panoexec.formats.xmp import Position, attitude_properties, packet, with_xmp
 from panoexec.sim.photos.landscape import Image
-
-try:
-    import PIL.ExifTags
-    import PIL.Image
-    from PIL.TiffImagePlugin import IFDRational
-except ImportError as _error:
-    raise DependencyError(f"the simulated camera needs Pillow: {to_install('sim')}") from _error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

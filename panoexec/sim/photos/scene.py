@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from panoexec.errors import DependencyError, InputFileError, to_install
+from panoexec.errors import InputFileError
 from panoexec.sim.photos.landscape import Image, Landscape
 
 DEFAULT_WIDTH_PX: Final = 4096
@@ -66,12 +66,9 @@ def load_scene(path: Path) -> Scene:
 
     Raises:
         InputFileError: no such file, no picture, a truncated one, not 2:1, or of a size that is out of bounds.
-        DependencyError: Pillow is not installed.
     """
-    try:
-        import PIL.Image  # noqa: PLC0415 - optional dependency
-    except ImportError as error:
-        raise DependencyError(f"pictures need Pillow: {to_install('sim')}") from error
+    import PIL.Image  # noqa: PLC0415  (for those who have a scene)
+
     try:
         with warnings.catch_warnings():
             # a scene of gigapixel size is permitted; its size is checked below, before pixels are read

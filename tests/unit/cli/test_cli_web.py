@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import subprocess
 import sys
 from pathlib import Path
 
@@ -52,10 +51,3 @@ def test_what_cannot_be_is_one_line(options: tuple[str, ...], told: str, capsys:
     err = capsys.readouterr().err
     assert told in err
     assert len(err.splitlines()) == 1
-
-
-def test_a_missing_package_is_named_with_its_extra() -> None:
-    program = "import sys; sys.modules['aiohttp'] = None; from panoexec.cli.app import run; sys.exit(run(['web']))"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 2
-    assert "pip install 'panoexec[web]'" in done.stderr

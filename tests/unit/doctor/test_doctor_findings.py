@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import time
 from datetime import UTC, datetime
@@ -175,17 +174,3 @@ def test_serial_devices_must_exist_and_be_accessible(tmp_path: Path, monkeypatch
     kind, text = verdict(findings, "permissions", "vehicle.connection")
     assert kind == "missing"
     assert "usermod -aG" in text
-
-
-def test_a_camera_with_http_needs_aiohttp(monkeypatch: pytest.MonkeyPatch) -> None:
-    config = Config.model_validate({"camera": {"file_hosts": ["192.168.144.25"]}})
-    findings = Findings()
-    machine.check_downloads(config, findings)
-    assert findings.all == []
-    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
-    machine.check_downloads(Config(), findings)
-    assert findings.all == []
-    machine.check_downloads(config, findings)
-    (found,) = findings.all
-    assert "192.168.144.25 stay in the camera" in found.found
-    assert "panoexec[files]" in found.advice
