@@ -8,18 +8,21 @@ A slew shows an echo if two successive reports, from beside the start to beside 
 gimbal could move (`FASTEST_DEG_S2`; for reports that equal the target, `USUAL_DEG_S2`). One slew of reports that equal
 the target decides, two decide otherwise, unless as many slews showed the gimbal on its way. Reports that move, but come
 to rest exactly at the target again and again, are an echo as well: a measurement has noise.
+
+Pitch and yaw are judged for themselves, too: where a servo tilts a camera and a motor with an encoder pans it, only the
+pan is measured, and its motion proves nothing about the tilt.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from panoexec.angles import FloatArray, rotation
+from panoexec.angles import FloatArray, rotation, wrap_180
 from panoexec.mission.pointing.poses import Reading
 
 LEAST_SLEW_DEG: Final = 10.0
@@ -45,6 +48,8 @@ _BESIDE_FRAC: Final = 0.15
 _MIDDLE_FRAC: Final = 1.0 - math.sqrt(2 * _BESIDE_FRAC)
 """Fraction of the duration of a slew (full acceleration, then full braking) that its middle part takes."""
 _POSES_APART_DEG: Final = 2.0
+_LEVEL_DEG: Final = 60.0
+"""A yaw is judged for itself up to this pitch: towards the vertical it is hardly told from roll."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +63,14 @@ class _Slew:
     angle_deg: float = math.nan
 
 
+@dataclass(slots=True)
+class _Shown:
+    """How many slews were seen to jump in one angle, and how many to move."""
+
+    jumps: int = 0
+    moves: int = 0
+
+
 class EchoWatch:
     """Judges the slews of one gimbal; `reason` tells its finding.
 
@@ -69,14 +82,13 @@ class EchoWatch:
         self.reason = reason
         """Why the reports are an echo; "" as long as they are not known to be one."""
         self._delays: list[float] = []
-        self._jumps = 0
-        self._moves = 0
+        self._shown = {"": _Shown(), "pitch": _Shown(), "yaw": _Shown()}
         self._exact: list[FloatArray] = []
 
     @property
     def has_moved(self) -> bool:
         """Whether a slew has shown the gimbal on its way, as only a measurement (or a simulated one) does."""
-        return self._moves > 0
+        return any(shown.moves for shown in self._shown.values())
 
     @property
     def delay_s(self) -> float:
@@ -124,9 +136,12 @@ class EchoWatch:
         shows_age = self._note_delay(times, to_target, commanded_s)
         self._note_exact(target, exact=bool(to_target[-1] <= EXACT_DEG) and not yaw_follows)
         pitches = np.degrees(np.arcsin(np.clip(-poses[:, 2, 0], -1.0, 1.0)))
-        slews = [_judged(times, abs(pitches - pitches[0]), abs(pitches - pitch_deg), exact=EXACT_DEG)]
+        yaws = np.degrees(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
+        slews = {"pitch": _judged(times, abs(pitches - pitches[0]), abs(pitches - pitch_deg))}
         if not yaw_follows:
-            slews.append(_judged(times, from_start, to_target, exact=EXACT_DEG))
+            slews[""] = _judged(times, from_start, to_target)
+            if max(float(np.max(abs(pitches))), abs(pitch_deg)) <= _LEVEL_DEG:
+                slews["yaw"] = _judged(times, abs(wrap_180(yaws - yaws[0])), abs(wrap_180(yaws - yaw_deg)))
         self._count(slews)
         return shows_age
 
@@ -151,29 +166,31 @@ class EchoWatch:
                 " any noise: they repeat the command, they are not measured"
             )
 
-    def _count(self, slews: Iterable[_Slew]) -> None:
-        jumps = [slew for slew in slews if slew.jumped]
-        if not jumps:
-            self._moves += any(slew.moved for slew in slews)
-            return
-        self._jumps += 1
-        enough = 1 if any(slew.exact for slew in jumps) else 2
-        if self._jumps >= enough and self._jumps > self._moves:
-            worst = max(jumps, key=lambda slew: slew.angle_deg)
+    def _count(self, slews: Mapping[str, _Slew]) -> None:
+        """Take a slew as it was seen in each angle; "" is that of the whole pose."""
+        echoed = {}
+        for axis, slew in slews.items():
+            shown = self._shown[axis]
+            shown.moves += slew.moved
+            shown.jumps += slew.jumped
+            if slew.jumped and shown.jumps >= (1 if slew.exact else 2) and shown.jumps > shown.moves:
+                echoed[axis] = slew
+        if echoed:
+            axis = "" if "" in echoed else max(echoed, key=lambda one: echoed[one].angle_deg)
             self.reason = (
-                f"a slew of {worst.angle_deg:.0f}° took {1000 * worst.seconds:.0f} ms in its reports, which no gimbal"
-                " can do: they repeat the command, they are not measured"
+                f"a slew of {echoed[axis].angle_deg:.0f}°{axis and f' in {axis}'} took"
+                f" {1000 * echoed[axis].seconds:.0f} ms in its reports, which no gimbal can do: they repeat the"
+                " command, they are not measured"
             )
 
 
-def _judged(times: FloatArray, from_start: FloatArray, to_target: FloatArray, *, exact: float) -> _Slew:
+def _judged(times: FloatArray, from_start: FloatArray, to_target: FloatArray) -> _Slew:
     """What one slew shows in one angle.
 
     Args:
         times: of the readings (n,), seconds; the first is from before the command.
         from_start: angle of each from the first reading, degrees.
         to_target: angle of each from the target, degrees.
-        exact: within this angle, a reading equals the target.
     """
     angle = float(to_target[0])
     if angle < LEAST_SLEW_DEG:
@@ -187,7 +204,7 @@ def _judged(times: FloatArray, from_start: FloatArray, to_target: FloatArray, *,
     if last - start > 1:
         return _Slew(moved=True, angle_deg=angle)
     seconds = float(times[last] - times[start])
-    is_exact = bool(np.all(to_target[last:] <= exact))
+    is_exact = bool(np.all(to_target[last:] <= EXACT_DEG))
     fastest = USUAL_DEG_S2 if is_exact else FASTEST_DEG_S2
     jumped = seconds < _MIDDLE_FRAC * 2 * math.sqrt(angle / fastest)
     return _Slew(jumped=jumped, exact=is_exact, seconds=seconds, angle_deg=angle)

@@ -8,6 +8,7 @@ import random
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 from panoexec.angles import wrap_180
 from panoexec.clock import Clock
@@ -124,6 +125,8 @@ class FakeGimbal:
     stuck: bool = False
     echoes: bool = False
     """Whether it reports where it was told to look, instead of where it looks."""
+    echoes_axis: Literal["", "yaw", "pitch"] = ""
+    """The same of one axis, while it measures the other."""
     refusals: int = 0
     refuse_control: int = 0
     failure_flags: int = 0
@@ -175,6 +178,8 @@ class FakeGimbal:
 
     def _angles(self, at_s: float) -> Angles:
         yaw, pitch, roll = self._end if self.echoes else self.commanded(at_s)
+        if self.echoes_axis:
+            yaw, pitch = (self._end[0], pitch) if self.echoes_axis == "yaw" else (yaw, self._end[1])
         if self.drift is None:
             return yaw, pitch, roll
         d = self.drift(at_s)

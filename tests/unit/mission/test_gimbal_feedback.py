@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
+
+import pytest
 
 from panoexec.clock import SystemClock
 from panoexec.devices import SteadyError
 from panoexec.mission.executor import Mission
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
-from panoexec.planning.model import Tolerance
+from panoexec.planning.model import Shot, Tolerance
 from panoexec.store.manifest import ManifestWriter
 from tests.unit.fakes.flying import fly, until_event
-from tests.unit.fakes.world import World
+from tests.unit.fakes.world import World, a_plan
 
 
 def echoing(world: World) -> None:
@@ -44,6 +47,20 @@ def test_photos_that_an_echo_had_verified_do_not_stay_accepted() -> None:
     assert world.record.shots_done == 0
     assert set(world.record.missing()) == set(world.record.shots)
     assert world.record_of_journal().shots_done == 0
+
+
+@pytest.mark.parametrize("axis", ["pitch", "yaw"])
+def test_an_echo_of_one_axis_leaves_nothing_accepted(axis: Literal["pitch", "yaw"]) -> None:
+    """A tilt servo that never moved, below a pan that is measured: the mission was complete."""
+    poses = [(pitch, yaw) for pitch in (-40.0, 0.0, 40.0) for yaw in (-135.0, -45.0, 45.0, 135.0)]
+    if axis == "yaw":
+        poses.sort(key=lambda pose: pose[1])
+    shots = tuple(Shot(index=k, row=0, pitch_deg=pitch, yaw_deg=yaw) for k, (pitch, yaw) in enumerate(poses))
+    world = fly(prepare=lambda w: setattr(w.gimbal, "echoes_axis", axis), plan=replace(a_plan(), shots=shots))
+    assert world.record.state is MissionState.FAILED
+    assert f"° in {axis} took" in world.record.reason
+    assert world.sink.of(ev.ShotAccepted), "the other axis hides it at first"
+    assert world.record.shots_done == 0
 
 
 def test_an_echo_that_begins_in_flight_is_found_as_well() -> None:
