@@ -292,12 +292,19 @@ class Mission:
                 await self._meter(self._shooting.shooter)
             if not context.requests.must_end_shooting:
                 await self._shooting.run()
-            await self._shooting.evidence_in()
-            await until(context.requests.stopping.wait(), self._content.settle(), "content of photos")
+            await until(self._guard_monitor.give_up_when_told(), self._photos_in(self._shooting), "the last photos")
             if len(context.queue) and not context.requests.must_end_shooting:
                 continue  # an accepted photo was revoked
-            if context.requests.stop is not None or await self._ending.finish():
+            if context.requests.stop is not None:
                 return
+            _, over = await until(self._guard_monitor.give_up_when_told(), self._ending.finish(), "finish")
+            if over:
+                return
+
+    async def _photos_in(self, shooting: Shooting) -> None:
+        """Return when all photos that were taken are judged, by evidence and content."""
+        await shooting.evidence_in()
+        await until(self._context.requests.stopping.wait(), self._content.settle(), "content of photos")
 
     def _take_back(self, shot: int, number: int, code: str, reason: str, photos: tuple[ev.Photo, ...]) -> None:
         assert self._shooting is not None
@@ -322,12 +329,19 @@ class Mission:
                 context.recorder.emit(skipped)
 
     async def _meter(self, shooter: Shooter) -> None:
-        """Fix the exposure, if that is asked for."""
+        """Fix the exposure, if that is asked for; begins again after a hold."""
         requests = self._context.requests
-        metering = meter_exposure(self._context, shooter)
-        _, problem = await until(requests.stopping.wait(), metering, "meter the exposure")
-        if problem:
-            requests.request_stop(Stop("fail", problem))
+        while not requests.must_end_shooting:
+            requests.settled()
+            if requests.holds:
+                await self._guard_monitor.hold()
+                continue
+            metering = meter_exposure(self._context, shooter)
+            done, problem = await until(requests.interrupt.wait(), metering, "meter the exposure")
+            if problem:
+                requests.request_stop(Stop("fail", problem))
+            if done:
+                return
 
     async def _preflight(self) -> None:
         context = self._context

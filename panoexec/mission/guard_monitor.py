@@ -27,6 +27,7 @@ MODE_REPORT_S = 1.5
 """How long the flight mode is awaited after control of the gimbal was lost. An autopilot that takes or drops the gimbal
 for a flight mode tells the mode in its next heartbeat (1 Hz)."""
 CONTROL_CODES = ("gimbal_control", "gimbal_unknown", "gimbal_lost")
+_WATCHED = frozenset({MissionState.CAPTURING, MissionState.PAUSED, MissionState.FINISHING})
 _ENDED_BY_ACQUIRING = frozenset({"gimbal_control", "gimbal_lost"})
 
 
@@ -62,9 +63,9 @@ class GuardMonitor:
         self._loss: _Loss | None = None
 
     async def watch(self) -> None:
-        """Evaluate the guards while the mission is capturing or paused; runs until cancelled."""
+        """Evaluate the guards while the mission may have the gimbal; runs until cancelled."""
         while True:
-            if self._context.record.state in {MissionState.CAPTURING, MissionState.PAUSED}:
+            if self._context.record.state in _WATCHED:
                 self.look()
             await self._context.clock.sleep(WATCH_S)
 
@@ -194,6 +195,13 @@ class GuardMonitor:
             automatic=all(hold.finding.automatic for hold in holds.values()),
         )
         self._context.recorder.emit(paused, MissionState.PAUSED)
+
+    async def give_up_when_told(self) -> None:
+        """Release the gimbal as soon as a guard says so, while nothing is shot; runs until cancelled."""
+        while True:
+            if any(hold.finding.release for hold in self._context.requests.holds.values()):
+                await self.release()
+            await self._context.clock.sleep(WATCH_S)
 
     async def acquire(self) -> bool:
         """Acquire the gimbal unless it is controlled already; a failure adds a hold. Stops when shooting must end."""

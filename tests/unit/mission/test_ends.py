@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import pytest
 
+from panoexec.angles import FloatArray
 from panoexec.devices import EvidenceLevel
 from panoexec.errors import MissionError
 from panoexec.mission.executor import Mission
 from panoexec.mission.log import events as ev
 from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.log.states import MissionState
-from panoexec.planning.model import GimbalLimits, Hole
+from panoexec.planning.model import Certificate, GimbalLimits, Hole
 from tests.unit.fakes.checks import check_mission
-from tests.unit.fakes.flying import drift_at, fly, until_event
+from tests.unit.fakes.flying import drift_at, fly, pilot_takes_over, until_event
 from tests.unit.fakes.virtual import run_virtual
 from tests.unit.fakes.world import World, a_certificate, a_plan, a_world, some_settings
 
@@ -293,3 +294,41 @@ def test_a_certificate_that_counts_a_photo_that_was_taken_back_proves_nothing() 
             assert world.sink.of(ev.MissionFinished)[0].certified is None
 
     run_virtual(main())
+
+
+@pytest.mark.parametrize("reports", [True, False])
+def test_a_pilot_who_takes_over_while_the_last_report_is_awaited_gets_the_gimbal_at_once(reports: bool) -> None:
+    """Nothing was shot any more, so nothing looked at the guards: it took up to 20 s."""
+
+    def prepare(world: World) -> None:
+        world.camera.level, world.camera.dates = EvidenceLevel.COUNTED, reports
+
+    async def take_over(world: World, mission: Mission) -> None:
+        del mission
+        await until_event(world, ev.ShotAccepted, 4)
+        await world.clock.sleep(0.2)
+        assert world.gimbal.in_control
+        await pilot_takes_over(world, within_s=0.5)
+
+    world = fly(take_over, prepare=prepare)
+    assert world.record.state is S.COMPLETE
+    assert not world.record.missing()
+
+
+def test_a_pilot_who_takes_over_while_the_certificate_is_computed_gets_the_gimbal_at_once() -> None:
+    def prepare(world: World) -> None:
+        certify = world.verifier.certify
+
+        async def slowly(rotations: FloatArray, rows: Sequence[int]) -> Certificate:
+            await world.clock.sleep(20.0)
+            return await certify(rotations, rows)
+
+        world.verifier.certify = slowly  # type: ignore[method-assign]
+
+    async def take_over(world: World, mission: Mission) -> None:
+        del mission
+        await until_event(world, ev.MissionFinishing)
+        await pilot_takes_over(world, within_s=0.5)
+
+    world = fly(take_over, prepare=prepare)
+    assert world.record.state is S.COMPLETE

@@ -7,10 +7,16 @@ from datetime import UTC, datetime
 
 import pytest
 
+from panoexec.formats.photo_settings import PhotoExif
 from panoexec.inputs.camera_profiles import load_profile
+from panoexec.mission.executor import Mission
 from panoexec.mission.lens_check import lens_problem
+from panoexec.mission.log.states import MissionState
 from panoexec.mission.metering import sun_direction, where_to_meter
 from panoexec.planning.model import Shot
+from tests.unit.fakes.camera import FakeCamera
+from tests.unit.fakes.flying import fly, pilot_hands_back, pilot_takes_over
+from tests.unit.fakes.world import World
 
 
 @pytest.mark.parametrize(
@@ -50,3 +56,57 @@ def test_a_lens_that_is_not_the_planned_one_names_the_profile_that_fits() -> Non
     assert "the camera's lens has 45 mm, the plan is for dji-x5s-15mm with 15 mm" in text
     assert 'set [camera] profile = "dji-x5s-45mm"' in text
     assert "write a profile with focal_length_mm = 25" in lens_problem(25.0, planned)
+
+
+class _Metering(FakeCamera):
+    """Needs 5 s to meter."""
+
+    needs_metering = True
+    begun = 0
+
+    async def meter(self, known: PhotoExif | None) -> str:
+        del known
+        self.begun += 1
+        await self.clock.sleep(5.0)
+        self.needs_metering = False
+        return ""
+
+
+def _metering(world: World) -> None:
+    world.camera = _Metering(clock=world.clock)
+
+
+async def _until_metering(world: World) -> _Metering:
+    camera = world.camera
+    assert isinstance(camera, _Metering)
+    while not camera.begun:
+        await world.clock.sleep(0.01)
+    return camera
+
+
+def test_a_pilot_who_takes_over_while_the_exposure_is_metered_gets_the_gimbal_at_once() -> None:
+    async def take_over(world: World, mission: Mission) -> None:
+        await _until_metering(world)
+        await pilot_takes_over(world, within_s=0.5)
+        await pilot_hands_back(world, mission)
+
+    world = fly(take_over, prepare=_metering)
+    assert world.record.state is MissionState.COMPLETE
+    assert isinstance(world.camera, _Metering)
+    assert world.camera.begun == 2, "it was metered again, before the first photo"
+    assert not world.camera.needs_metering
+
+
+@pytest.mark.parametrize("command", ["pause", "finish"])
+def test_stops_are_obeyed_while_the_exposure_is_metered(command: str) -> None:
+    async def stop(world: World, mission: Mission) -> None:
+        camera = await _until_metering(world)
+        getattr(mission.commands, command)()
+        await world.clock.sleep(1.0)
+        assert mission.record.state is (MissionState.PAUSED if command == "pause" else MissionState.INCOMPLETE)
+        assert camera.needs_metering
+        if command == "pause":
+            mission.commands.resume()
+
+    world = fly(stop, prepare=_metering)
+    assert world.record.state is (MissionState.COMPLETE if command == "pause" else MissionState.INCOMPLETE)
