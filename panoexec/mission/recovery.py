@@ -4,6 +4,9 @@ The journal shows how far an attempt came. Without its `ShotExposed` the pose du
 that the camera reports is recorded, and the shot is taken again. With it, pointing is judged already and only the
 evidence of the photo is missing. Photos are matched by time: the journal has the trigger time, and cameras report the
 exposure time. Without a time the image count decides: exactly one more than before the trigger.
+
+The pose was judged for as long as the shutter was expected to need. That is known of the photos before it; the first
+one of a process counts only if its time tells that it was no later.
 """
 
 from __future__ import annotations
@@ -27,6 +30,8 @@ TRIES: Final = 2
 AGAIN_AFTER_S: Final = 0.5
 SLACK_S: Final = 0.25
 """Tolerance between wall clock and exposure times, before and after the possible exposure window."""
+DATED_S: Final = 0.05
+"""How far the time of a photo may be off where it decides whether its pose was judged."""
 BEFORE: Final = "panoexec stopped before the photo was taken"
 UNKNOWN: Final = "panoexec stopped before there was evidence of the photo"
 UNREPORTED: Final = "the camera reported other photos, but not this one"
@@ -99,8 +104,10 @@ async def _settle(context: MissionContext, index: int, attempt: AttemptRecord, r
             return
         reason = UNJUDGED if photos else UNKNOWN
     else:
-        photos = tuple(recalled.identified(photo) for photo in attempt.photos)
-        if len(photos) == 1 and recalled.is_one_more_than(exposed.images_before):
+        lag_known = _is_lag_known(context, attempt)
+        latest_s = math.inf if lag_known else settings.latency_s + DATED_S
+        photos = tuple(recalled.identified(photo, latest_s=latest_s) for photo in attempt.photos)
+        if len(photos) == 1 and lag_known and recalled.is_one_more_than(exposed.images_before):
             counted = CaptureEvidence(level=EvidenceLevel.COUNTED, received_s=math.nan)
             photos = (evidence.with_evidence(photos[0], counted),)
         proven = evidence.weakest(photos) >= max(settings.min_evidence, context.record.reported_level)
@@ -120,6 +127,14 @@ async def _settle(context: MissionContext, index: int, attempt: AttemptRecord, r
     context.recorder.emit(ev.ShotRetaken(shot=index, attempt=attempt.number + 1, reason=reason))
 
 
+def _is_lag_known(context: MissionContext, attempt: AttemptRecord) -> bool:
+    """Whether an earlier photo of the same process had shown how late the camera's shutter is."""
+    attempts = (one for record in context.record.shots.values() for one in record.attempts)
+    return any(
+        one.process == attempt.process and one.seq < attempt.seq and one.verdict is Verdict.ACCEPTED for one in attempts
+    )
+
+
 class _Photos:
     """The photos reported by the camera that no attempt has claimed yet."""
 
@@ -136,15 +151,20 @@ class _Photos:
         """Whether the camera's image count is exactly one more than before."""
         return images_before >= 0 and self._count == images_before + 1
 
-    def identified(self, photo: ev.Photo) -> ev.Photo:
-        """The photo of a trigger with the evidence of the matching reported photo; unchanged if none matches."""
+    def identified(self, photo: ev.Photo, *, latest_s: float = math.inf) -> ev.Photo:
+        """The photo of a trigger with the evidence of the matching reported photo; unchanged if none matches.
+
+        Args:
+            photo: of the trigger.
+            latest_s: a photo that was exposed later after the trigger does not match.
+        """
         if photo.image_index >= 0 or photo.file:
             return photo
         triggered = photo.capture_time_utc_s
         fitting = [
             other
             for other in self._left
-            if -SLACK_S <= other.exposed_utc_s - triggered <= self._window_s + SLACK_S  # NaN: no match
+            if -SLACK_S <= other.exposed_utc_s - triggered <= min(latest_s, self._window_s + SLACK_S)  # NaN: no match
         ]
         if not fitting:
             return photo

@@ -112,6 +112,26 @@ def test_the_count_tells_of_a_photo_where_the_camera_tells_no_times() -> None:
     assert (accepted.shot, accepted.photos[0].evidence) == (1, EvidenceLevel.COUNTED)
 
 
+@pytest.mark.parametrize(("latency_s", "level"), [(0.35, EvidenceLevel.CAPTURE_MESSAGE), (1.0, EvidenceLevel.COUNTED)])
+def test_a_first_photo_that_was_late_is_taken_again(latency_s: float, level: EvidenceLevel) -> None:
+    """Its pose was judged until it should have been exposed; it was exposed during the slew to the next shot."""
+
+    def prepare(world: World) -> None:
+        a_camera(remembers=level > EvidenceLevel.COUNTED, counts=True, proof_after_s=2.0, level=level)(world)
+        world.camera.latency_s = latency_s
+
+    def over(world: World) -> bool:
+        is_over = exposed(1)(world) and world.clock.monotonic() > world.camera.photos[0].ended_s + 0.05
+        if is_over:
+            world.camera.latency_s = 0.05
+        return is_over
+
+    two = killed_when(over, prepare)
+    first, *others = two.record.shots[0].attempts
+    assert (first.verdict, first.code) == (Verdict.REJECTED, "crash")
+    assert others[-1].verdict is Verdict.ACCEPTED
+
+
 def test_the_count_does_not_prove_a_photo_of_a_camera_that_reported_the_one_before() -> None:
     two = killed_when(exposed(2), a_camera(counts=True))
     rejected = two.second_life(ev.ShotRejected)[0]
