@@ -7,6 +7,7 @@ import contextlib
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Final
 
@@ -21,7 +22,7 @@ from panoexec.adapters.link.connection_url import ConnectionUrl
 from panoexec.adapters.link.first_heartbeats import OpenedConnection
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.link.serial_ports import connection_of
-from panoexec.adapters.link.stream_health import DEFAULT_STREAMS, Stream
+from panoexec.adapters.link.stream_health import DEFAULT_STREAMS, POSITION, Stream
 from panoexec.adapters.linked_vehicle import LinkedVehicle, file_hosts, linked_vehicle
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.adapters.rc_switches import RC_STREAM, RcSwitches
@@ -255,7 +256,11 @@ class VehicleLink:
 
     def _streams(self) -> tuple[Stream, ...]:
         rc = (RC_STREAM,) if self._channels else ()
-        return (*DEFAULT_STREAMS, *rc, *((MISSION_STREAM,) if self._config.stations.enabled else ()))
+        if not self._config.stations.enabled:
+            return (*DEFAULT_STREAMS, *rc)
+        # an arrival at a station is seen by the position
+        often = (replace(one, idle_rate_hz=one.rate_hz) if one.name == POSITION else one for one in DEFAULT_STREAMS)
+        return (*often, *rc, MISSION_STREAM)
 
     async def say(self, text: str) -> None:
         """Send text to the ground stations, if there is a link."""

@@ -115,12 +115,20 @@ class Pilot:
             await asyncio.sleep(1.0)
         raise AssertionError("the mission was not accepted")
 
-    async def mode(self, name: str) -> None:
+    async def mode(self, name: str, *, timeout_s: float = 30.0) -> None:
         """Change the flight mode, and see it."""
         numbers = MODES[self.kind][name]
         custom = int(numbers[1]) if len(numbers) == 2 else int(numbers[1]) << 16 | int(numbers[2]) << 24
         self.send(command(SET_MODE, *numbers))
-        await self.until(lambda: self.said.custom_mode == custom, 30)
+        await self.until(lambda: self.said.custom_mode == custom, timeout_s)
+
+    async def mode_at_last(self, name: str) -> None:
+        """Ask for a flight mode until the autopilot accepts it."""
+        for _ in range(60):
+            with contextlib.suppress(TimeoutError):
+                await self.mode(name, timeout_s=1.0)
+                return
+        raise AssertionError(f"{name} was not accepted; {self.said.autopilot_texts[-3:]}")
 
     def jump_to(self, seq: int) -> None:
         """Make an item of the mission the current one, as ground stations do."""

@@ -44,11 +44,12 @@ class Stream:
     autopilot: int | None = None
 
 
+POSITION: Final = "GLOBAL_POSITION_INT"
 DEFAULT_STREAMS: Final = (
     Stream(message_id=285, name="GIMBAL_DEVICE_ATTITUDE_STATUS", rate_hz=50.0, idle_rate_hz=2.0),
     Stream(message_id=30, name="ATTITUDE", rate_hz=50.0, idle_rate_hz=2.0),
     Stream(message_id=281, name="GIMBAL_MANAGER_STATUS", rate_hz=2.0, idle_rate_hz=1.0),
-    Stream(message_id=33, name="GLOBAL_POSITION_INT", rate_hz=5.0, idle_rate_hz=2.0),
+    Stream(message_id=33, name=POSITION, rate_hz=5.0, idle_rate_hz=2.0),
     Stream(message_id=1, name="SYS_STATUS", rate_hz=1.0, idle_rate_hz=1.0),
     Stream(message_id=245, name="EXTENDED_SYS_STATE", rate_hz=1.0, idle_rate_hz=1.0),
     Stream(message_id=24, name="GPS_RAW_INT", rate_hz=5.0, idle_rate_hz=0.5),

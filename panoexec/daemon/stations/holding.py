@@ -126,6 +126,7 @@ class Holding:
             return ""
         if not self.may_act or status.mode != MISSION_MODE:
             return "the mission is the pilot's"
+        _log.info("the mission goes on", behind=self._station.marker)
         try:
             await self._mission.make_current(self._station.marker)
             end_s = self._clock.monotonic() + _GO_ON_S

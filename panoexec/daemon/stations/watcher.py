@@ -32,6 +32,8 @@ from panoexec.planning.model import Plan
 from panoexec.store.tours import OPEN, Stop
 
 TICK_S: Final = 0.2
+_SOON_S: Final = 0.05
+"""A tick when all photos are taken."""
 _MODE_S: Final = 3.0
 _RELEASING: Final = frozenset({"pilot", "landed", "battery", "gimbal_control"})
 """Codes of pauses after which the vehicle is not kept at the station."""
@@ -301,7 +303,7 @@ class Stations:
                     await self._tour.note(stop)
                 except PanoexecError as error:  # the vehicle must be held all the same
                     _log.error("the tour could not be kept", error=str(error))
-            if begun and self._missions.mission is None and (ended := self._outcome(stop)) is not None:
+            if begun and (ended := self._outcome(stop)) is not None:
                 outcome, reason = ended
                 break
             holding.released = not self._paused_by.isdisjoint(_RELEASING)
@@ -310,7 +312,7 @@ class Stations:
                 finishing = True
                 why = "the vehicle flew on" if holding.gone else "too long" if too_long else "cannot go on here"
                 await self._ask("finish", {"reason": f"station: {why}"})
-            await self._clock.sleep(TICK_S)
+            await self._clock.sleep(TICK_S if math.isnan(self._shot_all_s) else _SOON_S)
         before_s = None if math.isnan(self._shot_s) else round(self._shot_s - since_s, 2)
         return replace(stop, outcome=outcome, reason=reason, before_s=before_s)
 
@@ -323,9 +325,9 @@ class Stations:
         record = self._missions.record
         if record is None or record.mission_id != stop.mission_id:
             return None
-        if record.state in ENDED:
+        if record.state in ENDED:  # the gimbal is released; what is still written needs no vehicle
             return record.state.value, record.reason
-        if record.state is MissionState.PAUSED:
+        if record.state is MissionState.PAUSED and self._missions.mission is None:
             return OPEN, record.reason
         return None
 
