@@ -67,7 +67,19 @@ async def check_vehicle(
         async with linked_vehicle(config, url, clock=clock) as linked:
             await examine_vehicle(linked, config, findings, patience_s=patience_s, photo=photo)
     except LinkError as error:
-        findings.missing("link", "port", str(error), advice=error.advice or "[vehicle] connection")
+        findings.missing("link", "port", str(error), advice=error.advice or _where(config))
+
+
+def _where(config: Config) -> str:
+    """The key that says where the autopilot is."""
+    serial = config.vehicle.serial
+    if serial is None:
+        return "[vehicle] connection"
+    return (
+        "[vehicle] serial"
+        if serial == "auto"
+        else '[vehicle] serial: another device, or "auto", which finds it by USB id'
+    )
 
 
 async def examine_vehicle(

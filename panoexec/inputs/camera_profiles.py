@@ -199,7 +199,8 @@ def load_profile(
     """
     if name_or_path.endswith(".toml") or os.sep in name_or_path:
         path = Path(name_or_path)
-        return _profile(read_toml(path), name_or_path, path.stem, orientation, focal_length_mm)
+        data = {"source": "not given"} | read_toml(path)
+        return _profile(data, name_or_path, path.stem, orientation, focal_length_mm)
     shipped = _shipped()
     path_of_name = shipped.get(name_or_path)
     if path_of_name is None:

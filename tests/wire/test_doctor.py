@@ -63,6 +63,15 @@ async def examined(folder: Path, port: int, more: str = "", *, patience_s: float
     return await run_checks(config, folder / "config.toml", clock=SystemClock(SPEEDUP), patience_s=patience_s)
 
 
+async def test_a_serial_port_that_is_absent_is_told_by_its_own_key() -> None:
+    findings = Findings()
+    config = Config.model_validate({"vehicle": {"serial": "/dev/no-such-port"}})
+    await check_vehicle(config, findings, clock=SystemClock(), patience_s=1)
+    (one,) = findings.all
+    assert one.found == "cannot open /dev/no-such-port: no such device; is it plugged in?"
+    assert one.advice == '[vehicle] serial: another device, or "auto", which finds it by USB id'
+
+
 @needs_mosquitto
 async def test_healthy_vehicle(tmp_path: Path) -> None:
     port = free_udp_port()
