@@ -7,6 +7,7 @@ camera wrote one.
 from __future__ import annotations
 
 import math
+import re
 import struct
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -15,6 +16,9 @@ from typing import Final, TypeAlias
 
 _READ_BYTES: Final = 1 << 18
 _IFD_EXIF: Final = 0x8769
+_DIGITS: Final = 9
+"""Of a fraction of a second, the most that are read."""
+_ZONE: Final = re.compile(r"(?P<sign>[+-])(?P<hours>[0-9]{2}):(?P<minutes>[0-5][0-9])")
 _SIZES: Final = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 9: 4, 10: 8}
 
 Value: TypeAlias = "str | float"
@@ -155,7 +159,7 @@ def _moment(stamp: str, fraction: str) -> tuple[float, float]:
         whole = datetime.strptime(stamp, "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC).timestamp()
     except ValueError:
         return math.nan, 1.0
-    digits = fraction.strip()
+    digits = fraction.strip()[:_DIGITS]
     if digits.isascii() and digits.isdigit() and digits.strip("0"):  # "000" of cameras that have no fraction
         return whole + int(digits) / 10 ** len(digits), 10.0 ** -len(digits)
     return whole, 1.0
@@ -163,8 +167,7 @@ def _moment(stamp: str, fraction: str) -> tuple[float, float]:
 
 def _zone(text: str) -> float:
     """Seconds of `+HH:MM`; NaN if it is none."""
-    sign = {"+": 1, "-": -1}.get(text[:1])
-    hours, colon, minutes = text[1:].partition(":")
-    if sign is None or not colon or not (hours.isdigit() and minutes.isdigit()):
+    found = _ZONE.fullmatch(text)
+    if found is None:
         return math.nan
-    return sign * (int(hours) * 3600 + int(minutes) * 60.0)
+    return (-1 if found["sign"] == "-" else 1) * (int(found["hours"]) * 3600 + int(found["minutes"]) * 60.0)
