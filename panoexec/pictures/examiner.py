@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Collection, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -54,6 +55,7 @@ class _Photo:
     problem: tuple[Content, str] | None = None
     digest: bytes = b""
     used: int = 0
+    size: tuple[int, int] | None = None
 
 
 class Examiner:
@@ -85,6 +87,7 @@ class Examiner:
         self._planned: dict[int, FloatArray] = {}
         self._expected: dict[int, frozenset[int]] = {}
         self._size: tuple[int, int] | None = None
+        self._sizes: Counter[tuple[int, int]] = Counter()
         self._uses = 0
         self._focal_ratio = 1.0
         self._guessed = False
@@ -122,13 +125,14 @@ class Examiner:
     def focal_px(self) -> float:
         """Focal length that counts at the scale of the examination; NaN before the first readable photo."""
         for photo in self._photos.values():
-            if photo.features is not None:
+            if photo.features is not None and photo.size == self._size:
                 return photo.features.size[0] / (2 * self._camera.pinhole_half_width)
         return float("nan")
 
     def size_px(self) -> tuple[int, int] | None:
         """Width and height at the scale of the examination."""
-        return next((photo.features.size for photo in self._photos.values() if photo.features is not None), None)
+        photos = (photo for photo in self._photos.values() if photo.size == self._size)
+        return next((photo.features.size for photo in photos if photo.features is not None), None)
 
     def add(self, photo: PhotoToCheck, content: bytes) -> None:
         """Examine a photo; it replaces an earlier one of the same shot.
@@ -145,13 +149,9 @@ class Examiner:
         except UnreadableError as error:
             own.problem = (Content.UNREADABLE, str(error))
             return
-        size = (decoded.width_px, decoded.height_px)
-        if self._size is None:
-            self._size = size
-        elif size != self._size:
-            text = f"is {size[0]} x {size[1]} px, the others {self._size[0]} x {self._size[1]} px"
-            own.problem = (Content.UNREADABLE, text)
-            return
+        own.size = size = (decoded.width_px, decoded.height_px)
+        self._sizes[size] += 1
+        before, self._size = self._size, self._usual_size()
         if max(decoded.grey.shape) < LEAST_PX:
             own.problem = (Content.UNCHECKED, f"{size[0]} x {size[1]} px are too few to be examined")
             return
@@ -160,11 +160,27 @@ class Examiner:
         own.problem = _own_exposure(features.exposure)
         own.digest = hashlib.sha256(decoded.grey.tobytes()).digest()
         own.features = features
-        if own.problem is not None:
-            return
-        self._tie(own)
+        if self._size not in (before, None):  # what was compared so far was of the odd size
+            self._ties.clear()
+            photos = list(self._photos.values())
+            for number, one in enumerate(photos):
+                self._tie(one, photos[:number])
+        else:
+            self._tie(own, self._photos.values())
         self._calibrate()
         self._make_room()
+
+    def _usual_size(self) -> tuple[int, int]:
+        """The size of whole photos: that of the profile if any has it, else that of most so far, dropped ones too."""
+        whole = (self._camera.image_width_px, self._camera.image_height_px)
+        return whole if whole in self._sizes else max(self._sizes, key=self._sizes.__getitem__)
+
+    def _problem_of(self, own: _Photo) -> tuple[Content, str] | None:
+        if own.size is None or self._size is None or own.size == self._size:
+            return own.problem
+        (width, height), (usual_width, usual_height) = own.size, self._size
+        text = f"is {width} x {height} px, the others {usual_width} x {usual_height} px"
+        return Content.UNREADABLE, text
 
     def condemn(self, photo: PhotoToCheck, code: str, reason: str) -> None:
         """Add a photo that is bad for a reason that others found; it replaces an earlier one of the same shot."""
@@ -189,7 +205,7 @@ class Examiner:
                     shot=own.photo.shot,
                     time_s=own.photo.time_s,
                     rotation=own.photo.rotation,
-                    problem=own.problem,
+                    problem=self._problem_of(own),
                     same_as=same,
                     expected=self._expected.get(own.photo.shot, frozenset()),
                 )
@@ -221,13 +237,12 @@ class Examiner:
             banks[shot] = Bank(rotation=own.photo.rotation, rays=rays, group=group.get(shot, -1 - number))
         return bridge_poses(self._camera, banks, tried=tried, pitch_deg=pitch_deg, most=most)
 
-    def _tie(self, own: _Photo) -> None:
-        others = [
-            other
-            for other in self._photos.values()
-            if other is not own and other.features is not None and other.problem is None
-        ]
-        if not others:
+    def _is_comparable(self, one: _Photo) -> bool:
+        return one.features is not None and self._problem_of(one) is None
+
+    def _tie(self, own: _Photo, photos: Iterable[_Photo]) -> None:
+        others = [other for other in photos if other is not own and self._is_comparable(other)]
+        if not others or not self._is_comparable(own):
             return
         shared = self._overlaps(own.photo.rotation, np.array([other.photo.rotation for other in others]))
         for other, value in zip(others, shared, strict=True):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import replace
 
 import numpy as np
+import PIL.Image
 import pytest
 
 from panoexec.angles import FloatArray, rotation
@@ -179,3 +181,49 @@ def test_photos_beyond_the_memory_are_tied_too(
     examiner, verdicts = examine(two_rows, clean)
     assert {found.verdict for found in verdicts.photos.values()} == {Content.OK}
     assert sum(tie.tied for tie in examiner.ties.values()) >= 24
+
+
+def _smaller(content: bytes) -> bytes:
+    """A preview instead of the photo."""
+    with PIL.Image.open(io.BytesIO(content)) as picture:
+        out = io.BytesIO()
+        picture.resize((picture.width // 2, picture.height // 2)).save(out, "JPEG", quality=90)
+        return out.getvalue()
+
+
+@pytest.mark.parametrize("odd", [0, 3])
+def test_a_photo_of_another_size_is_named_even_if_it_is_the_first(two_rows: Plan, clean: PhotoSet, odd: int) -> None:
+    """All the others were `unreadable` because of a first one."""
+    photos = [replace(one, content=_smaller(one.content)) if one.shot == odd else one for one in clean.photos]
+    _, verdicts = examine(two_rows, replace(clean, photos=photos))
+    assert [(one.shot, one.verdict) for one in verdicts.bad] == [(odd, Content.UNREADABLE)]
+    assert "px, the others" in verdicts.photos[odd].reason
+
+
+def test_of_two_sizes_the_one_that_comes_again_counts(two_rows: Plan, clean: PhotoSet) -> None:
+    """A mission drops what is bad, and takes it again."""
+    planned = {shot.index: rotation(shot.yaw_deg, shot.pitch_deg) for shot in two_rows.shots}
+    examiner = Examiner(two_rows.camera, planned)
+    first, second = (
+        (PhotoToCheck(shot=one.shot, rotation=one.measured, time_s=one.time_s), one.content) for one in clean.photos[:2]
+    )
+    examiner.add(first[0], _smaller(first[1]))
+    examiner.add(*second)
+    assert [one.shot for one in examiner.verdicts().bad] == [second[0].shot]
+    examiner.drop(second[0].shot)
+    examiner.add(*second)
+    assert [one.shot for one in examiner.verdicts().bad] == [first[0].shot]
+    examiner.drop(first[0].shot)
+    examiner.add(*first)
+    assert not examiner.verdicts().bad
+    assert examiner.ties[first[0].shot, second[0].shot].tied
+
+
+def test_a_photo_of_the_size_of_the_profile_counts_at_once(two_rows: Plan, clean: PhotoSet) -> None:
+    one, other = clean.photos[:2]
+    with PIL.Image.open(io.BytesIO(other.content)) as picture:
+        camera = replace(two_rows.camera, image_width_px=picture.width, image_height_px=picture.height)
+    examiner = Examiner(camera)
+    for photo, content in ((one, _smaller(one.content)), (other, other.content)):
+        examiner.add(PhotoToCheck(shot=photo.shot, rotation=photo.measured, time_s=photo.time_s), content)
+    assert [found.shot for found in examiner.verdicts().bad] == [one.shot]
