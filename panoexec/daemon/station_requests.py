@@ -18,6 +18,7 @@ from panoexec.adapters.link.command_inbox import Result, StationCommand
 from panoexec.daemon.own_requests import submit
 from panoexec.inputs.config import Config
 from panoexec.mqtt.incoming import Incoming
+from panoexec.mqtt.requests import STOPPING
 from panoexec.mqtt.senders import MAVLINK, transaction_of
 
 REQUEST_NAMES: Final = {1: "start", 2: "pause", 3: "resume", 4: "abort", 5: "finish", 6: "skip", 7: "repeat"}
@@ -56,6 +57,10 @@ class StationRequests:
         if wrong:
             return False, self._refused(verb or "command", wrong)
         return verb in _SLOW, self.submit(verb, fields, by=_station(command))
+
+    def stops(self, command: StationCommand) -> bool:
+        """Whether a command stops a mission."""
+        return self.request_of(command)[0] in STOPPING
 
     def submit(self, verb: str, fields: dict[str, Any], *, by: str) -> Awaitable[Result]:
         """Execute a request of `by`; its result. The pilot hears why it was refused."""

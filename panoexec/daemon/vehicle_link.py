@@ -231,7 +231,10 @@ class VehicleLink:
             self._linked, self._link, self._gimbal, self._vehicle = linked, link, linked.gimbal, linked.vehicle
             if self.station_requests is not None:
                 inbox = CommandInbox(
-                    link, commanders=self._config.vehicle.commanders, execute=self.station_requests.execute
+                    link,
+                    commanders=self._config.vehicle.commanders,
+                    execute=self.station_requests.execute,
+                    stops=self.station_requests.stops,
                 )
                 serving = asyncio.create_task(inbox.run(), name="station commands")
                 stack.push_async_callback(_ended, serving)

@@ -9,7 +9,8 @@ before it sends its next command (measured: the photos of two panoexec with diff
 
 MAVLink delivers a command more than once: a sender that misses the acknowledgement repeats it with a higher
 `confirmation`, and routers forward copies. A copy is never carried out again. A repetition gets the acknowledgement
-again; a copy with the same `confirmation` does not.
+again; a copy with the same `confirmation` does not. Where the first copy of a command was lost, its repetition is the
+first that arrives. A stop is therefore carried out again if its sender has commanded something else since.
 """
 
 from __future__ import annotations
@@ -91,9 +92,14 @@ class _Known:
 
 
 class Repetitions:
-    """Tells new commands from copies and repetitions of known ones."""
+    """Tells new commands from copies and repetitions of known ones.
 
-    def __init__(self) -> None:
+    Args:
+        stops: whether a command stops a mission.
+    """
+
+    def __init__(self, stops: Callable[[StationCommand], bool] = lambda _: False) -> None:
+        self._stops = stops
         self._known: OrderedDict[tuple[object, ...], _Known] = OrderedDict()
 
     def take(self, command: StationCommand, now_s: float) -> tuple[bool, Result | None]:
@@ -106,16 +112,25 @@ class Repetitions:
         key = _key(command)
         known = self._known.get(key)
         if known is not None and (known.result is Result.IN_PROGRESS or now_s - known.done_s <= REPEAT_S):
-            if command.confirmation > known.confirmation:
+            if command.confirmation > known.confirmation and not self._is_another_stop(command, known):
                 known.confirmation, known.heard_s = command.confirmation, now_s
                 return False, known.result
-            if known.result is Result.IN_PROGRESS or now_s - known.heard_s <= COPY_S:
+            if known.result is Result.IN_PROGRESS or (
+                now_s - known.heard_s <= COPY_S and command.confirmation <= known.confirmation
+            ):
                 return False, None
         self._known.pop(key, None)
         self._known[key] = _Known(heard_s=now_s, confirmation=command.confirmation)
         while len(self._known) > _REMEMBERED:
             self._known.popitem(last=False)
         return True, None
+
+    def _is_another_stop(self, command: StationCommand, known: _Known) -> bool:
+        """Whether a stop was carried out, and its sender has commanded something else since."""
+        if known.result is Result.IN_PROGRESS or not self._stops(command):
+            return False
+        newest = next(one for key, one in reversed(self._known.items()) if key[0] == command.sender)
+        return newest is not known
 
     def done(self, command: StationCommand, result: Result, now_s: float) -> None:
         """It was carried out, or refused."""
@@ -135,13 +150,21 @@ class CommandInbox:
         link: to the vehicle, open.
         commanders: MAVLink system ids; None: 255, as ground stations have, and the vehicle's own.
         execute: carries one out.
+        stops: whether a command stops a mission.
     """
 
-    def __init__(self, link: MavsdkLink, *, commanders: Collection[int] | None, execute: Execute) -> None:
+    def __init__(
+        self,
+        link: MavsdkLink,
+        *,
+        commanders: Collection[int] | None,
+        execute: Execute,
+        stops: Callable[[StationCommand], bool] = lambda _: False,
+    ) -> None:
         self._link = link
         self._commanders = commanders
         self._execute = execute
-        self._repetitions = Repetitions()
+        self._repetitions = Repetitions(stops)
         self._group: asyncio.TaskGroup | None = None
 
     async def run(self) -> None:

@@ -30,6 +30,23 @@ def test_a_repetition_gets_the_answer_so_far() -> None:
     assert known.take(replace(START, confirmation=2), 12.5) == (False, Result.DENIED)
 
 
+def test_a_stop_whose_first_copy_was_lost_is_no_repetition_of_one_before_a_start() -> None:
+    """It was answered with ACCEPTED, the answer to the earlier one, and not carried out."""
+    known = Repetitions(stops=lambda command: command.params[0] == 4.0)
+    abort = replace(START, params=(4.0, *START.params[1:]))
+    assert known.take(abort, 10.0) == (True, None)
+    known.done(abort, Result.ACCEPTED, 10.1)
+    assert known.take(replace(abort, confirmation=1), 10.6) == (False, Result.ACCEPTED)
+    assert known.take(START, 11.0) == (True, None)
+    known.done(START, Result.ACCEPTED, 11.5)
+    assert known.take(replace(abort, confirmation=2), 14.0) == (True, None)
+    known.done(abort, Result.ACCEPTED, 14.1)
+    assert known.take(replace(START, confirmation=1), 14.2) == (False, Result.ACCEPTED), "what starts, never twice"
+    assert known.take(replace(abort, confirmation=3), 14.3) == (False, Result.ACCEPTED)
+    assert known.take(replace(START, sender=(254, 190)), 14.4) == (True, None)
+    assert known.take(replace(abort, confirmation=4), 14.5) == (False, Result.ACCEPTED), "another station's start"
+
+
 def test_the_same_again_later_is_a_new_one() -> None:
     known = Repetitions()
     known.take(START, 10.0)
