@@ -170,10 +170,7 @@ def certificate_facts(certificate: Certificate) -> list[tuple[str, str]]:
             "overlap in rows",
             f"at least {percent(certificate.min_overlap_h)} (worst case {percent(certificate.worst_overlap_h)})",
         ),
-        (
-            "overlap of rows",
-            f"at least {percent(certificate.min_overlap_v)} (worst case {percent(certificate.worst_overlap_v)})",
-        ),
+        *_row_overlap(certificate),
         ("image graph", graph if certificate.connected else "not connected"),
     ]
     facts += [("  fails", failure) for failure in certificate.failures]
@@ -185,6 +182,14 @@ def certificate_facts(certificate: Certificate) -> list[tuple[str, str]]:
         for hole in certificate.holes[:5]
     ]
     return facts
+
+
+def _row_overlap(certificate: Certificate) -> list[tuple[str, str]]:
+    """The overlap of neighbouring rows; nothing where there is one row."""
+    least, worst = certificate.min_overlap_v, certificate.worst_overlap_v
+    if least is None:
+        return []
+    return [("overlap of rows", f"at least {percent(least)} (worst case {percent(worst)})")]
 
 
 def _check_budget(args: argparse.Namespace, plan: Plan, plan_with: Callable[[Constraints], Plan]) -> None:

@@ -273,6 +273,20 @@ async def test_an_upgrade_in_a_mission_keeps_configuration_and_missions_and_goes
         assert (STATE / "missions" / mission / "journal.sqlite").stat().st_size > 0
 
 
+def test_a_unit_that_does_not_start_is_told_in_a_sentence(machine: Machine) -> None:
+    broken = DROP_IN.with_name("broken.conf")
+    broken.write_text("[Service]\nExecStartPre=/bin/false\nRestart=no\n")
+    sh("systemctl", "daemon-reload")
+    installed = ("dpkg", "--install", "--force-confold", str(machine.package))
+    done = subprocess.run(installed, capture_output=True, text=True, check=False, env=os.environ | {"LC_ALL": "C"})
+    assert done.returncode == 0, done.stderr
+    assert f"panoexec: {UNIT} has not started yet" in done.stderr
+    assert "Could not execute" not in done.stderr
+    broken.unlink()
+    sh("systemctl", "daemon-reload")
+    sh("systemctl", "start", UNIT)
+
+
 def _status(pid: int) -> list[str]:
     return Path(f"/proc/{pid}/status").read_text().splitlines()
 
