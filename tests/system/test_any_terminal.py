@@ -14,7 +14,7 @@ import pytest
 from panoexec.cli.app import COMMANDS
 from tests.repository import ROOT
 
-PLAN = ("plan", "--camera", "dji-x5s-15mm", "--elevation", "-10", "10")
+PLAN = ("plan", "--camera", "dji-x5s-15mm", "--elevation", "-10", "10", "--azimuth", "0", "30")
 LINES: list[tuple[str, ...]] = [
     *((name, "--help") for name in COMMANDS),
     PLAN,

@@ -22,7 +22,7 @@ from tests.system.dry_runs import accepted, dry_run, flown, manifest_of, under_w
 # the verb sets up logging for its process
 pytestmark = pytest.mark.usefixtures("restored_logs")
 
-SMALL = ("--elevation", "-20", "15", "--azimuth", "-50", "50", "--image-width", "160")
+SMALL = ("--elevation", "-30", "20", "--azimuth", "-50", "50", "--image-width", "160")
 TOLERANCE = ("--tolerance-pitch", "0.15", "--tolerance-roll", "0.15", "--tolerance-yaw", "0.7")
 LIMITS = {"pitch": 0.15, "roll": 0.15, "yaw": 0.7}
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from panoexec.dryrun.run import DryRunOptions, run_dry_run
 from panoexec.inputs.camera_profiles import load_profile
 from panoexec.mission.settings import MissionSettings
 from panoexec.planning.make_plan import make_plan
-from panoexec.planning.model import Band, Constraints, Timing, Tolerance
+from panoexec.planning.model import Band, Constraints, Plan, Timing, Tolerance
 from panoexec.sim.config import CameraConfig, SimConfig
 from panoexec.sim.faults import parse_fault
 from tests.support.forger import SECRET, Forger, forged
@@ -33,12 +34,18 @@ FIRST_SEED = int(os.environ.get("PANOEXEC_FORGED_SEED", "1"))
 TOLERANCE = Tolerance(pitch_deg=0.15, roll_deg=0.15, yaw_deg=0.7)
 
 
+@cache
+def sector() -> Plan:
+    """The plan of every mission here."""
+    camera = load_profile("dji-x5s-15mm").camera
+    band = Band(elevation_min_deg=-30, elevation_max_deg=20, azimuth_min_deg=-50, azimuth_max_deg=50)
+    constraints = Constraints(overlap_h=0.15, overlap_v=0.15, band=band, tolerance=TOLERANCE)
+    return make_plan(camera, constraints, method="certified", timing=Timing(), order="fastest")
+
+
 async def fly(storage: Path, forger: Forger, monkeypatch: pytest.MonkeyPatch, *faults: str, seed: int = 0) -> Any:
     """The manifest of a mission over a sector, and its directory."""
-    camera = load_profile("dji-x5s-15mm").camera
-    band = Band(elevation_min_deg=-20, elevation_max_deg=15, azimuth_min_deg=-50, azimuth_max_deg=50)
-    constraints = Constraints(overlap_h=0.15, overlap_v=0.15, band=band, tolerance=TOLERANCE)
-    plan = make_plan(camera, constraints, method="certified", timing=Timing(), order="fastest")
+    plan = sector()
     options = DryRunOptions(
         plan=plan,
         settings=MissionSettings(tolerance=TOLERANCE, interval_s=1.0, exposure_s=0.01, max_pause_s=20.0),
@@ -46,7 +53,7 @@ async def fly(storage: Path, forger: Forger, monkeypatch: pytest.MonkeyPatch, *f
             seed=seed,
             speedup=20.0,
             autopilot="px4" if seed % 4 == 3 else "ardupilot",
-            camera=CameraConfig(optics=camera, interval_s=1.0, render_width_px=64),
+            camera=CameraConfig(optics=plan.camera, interval_s=1.0, render_width_px=64),
             faults=tuple(parse_fault(fault) for fault in faults),
         ),
         storage=storage,

@@ -83,5 +83,5 @@ def test_an_unknown_kind_lists_those_that_there_are() -> None:
     done = dry_run("--camera", "dji-x5s-15mm", "--gimbal-kind", "dji")
     assert done.returncode == 2
     assert "--gimbal-kind dji: no such kind; there are mavlink, siyi, gremsy" in done.stderr
-    small = ("--camera", "dji-x5s-15mm", "--elevation", "-15", "5", "--azimuth", "0", "150")
+    small = ("--camera", "dji-x5s-15mm", "--elevation", "-15", "5", "--method", "paper")
     assert "needs --autopilot ardupilot" in dry_run("--gimbal-kind", "servo", "--autopilot", "px4", *small).stderr

@@ -124,7 +124,8 @@ async def test_a_gps_that_stays_away_ends_in_the_failsafe_and_takes_no_more_phot
 async def test_a_dry_run_as_the_command_line_flies_it_stops_shooting_in_another_flight_mode(
     tmp_path: Path, fault: str
 ) -> None:
-    arguments = ["--elevation", "-35", "-15", "--speedup", "20", "--fault", fault, "--output", str(tmp_path)]
+    band = ["--elevation", "-35", "-15", "--method", "paper"]
+    arguments = [*band, "--speedup", "20", "--fault", fault, "--output", str(tmp_path)]
     options = dry_run._options(parser_of("dry-run", dry_run).parse_args(arguments))
     assert options.settings.guards == replace(
         settings_of(Config(), configured_spec(Config(), configured_profile(Config()))).guards,

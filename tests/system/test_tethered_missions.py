@@ -19,7 +19,7 @@ from tests.wire.broker import needs_mosquitto, running_broker
 
 pytest.importorskip("gphoto2", reason="the extra gphoto2 is not installed")
 
-BAND = ("--camera", "dji-x5s-15mm", "--elevation", "-10", "10", "--azimuth", "-60", "60", "--image-width", "200")
+BAND = ("--camera", "dji-x5s-15mm", "--elevation", "-30", "20", "--azimuth", "-50", "50", "--image-width", "160")
 TETHERED = ("--camera-link", "gphoto2")
 SMALL = {"elevation_deg": [-20, 0], "azimuth_deg": [-60, 60], "method": "certified"}
 

@@ -35,7 +35,7 @@ for name in MISSING:
     else:
         raise SystemExit(f"{name} is found all the same")
 """
-PLAN = ("--camera", "dji-x5s-15mm", "--elevation", "-10", "10", "--azimuth", "-30", "30")
+PLAN = ("--camera", "dji-x5s-15mm", "--elevation", "-20", "20", "--azimuth", "-60", "60")
 RUN = "from panoexec.cli.app import run; raise SystemExit(run(sys.argv[1:]))"
 
 

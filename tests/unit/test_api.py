@@ -53,7 +53,7 @@ def test_import_loads_nothing_but_itself() -> None:
 def test_planning_and_reading_load_no_vehicle_and_no_broker() -> None:
     loaded = loaded_after(
         "import panoexec\n"
-        "p = panoexec.plan('dji-x5s-15mm', elevation_deg=(-10, 10), azimuth_deg=(0, 90)); panoexec.verify(p)\n"
+        "p = panoexec.plan('dji-x5s-15mm', elevation_deg=(-20, 20), azimuth_deg=(0, 120)); panoexec.verify(p)\n"
         f"panoexec.open_mission({str(RECORDED)!r}).plan()"
     )
     assert "numpy" in loaded

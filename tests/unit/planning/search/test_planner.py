@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -71,8 +72,9 @@ def asked(
     return Constraints(overlap_h=overlap, overlap_v=overlap, band=band, tolerance=tolerance)
 
 
+@cache
 def certified(cam: Camera, constraints: Constraints) -> Plan:
-    """A plan whose own certificate and a fresh one say certified."""
+    """A plan, made once, whose own certificate and a fresh one say certified."""
     plan = plan_certified(cam, constraints)
     assert plan.certificate is not None
     assert plan.certificate.certified, plan.certificate.failures
