@@ -3,7 +3,8 @@
 A switch acts when it is moved, never by where it stands: it must have been low, then high. What a receiver without
 signal puts out is never taken for the pilot's hand: many put out a preset, at once, while the autopilot finds out about
 the loss by its own rules, and tells it in SYS_STATUS once a second. A switch therefore acts only when the autopilot
-says a second later that its receiver works.
+says a second later that its receiver works. While it does not, ArduPilot goes on sending the last pulses: they count
+for nothing, so that a switch that stands high when the signal is back was not moved (found on ArduCopter's SITL).
 """
 
 from __future__ import annotations
@@ -91,6 +92,7 @@ class RcSwitches:
         self._link = link
         self._actions = dict(actions)
         self._switches = {channel: Switch() for channel in actions}
+        self._works = False
         self._offs = [link.on("RC_CHANNELS", self._channels), link.on("SYS_STATUS", self._status)]
 
     def close(self) -> None:
@@ -100,7 +102,7 @@ class RcSwitches:
 
     def _channels(self, message: MavMessage) -> None:
         """In MAVSDK's thread, like `_status`."""
-        if message.component_id == AUTOPILOT:
+        if message.component_id == AUTOPILOT and self._works:
             for channel, switch in self._switches.items():
                 switch.read(int(message.fields[f"chan{channel}_raw"]), time.monotonic())
 
@@ -110,9 +112,9 @@ class RcSwitches:
         present, enabled, health = (
             int(message.fields[f"onboard_control_sensors_{kind}"]) for kind in ("present", "enabled", "health")
         )
-        works = bool(present & enabled & health & _RC_RECEIVER)
+        self._works = bool(present & enabled & health & _RC_RECEIVER)
         for channel, switch in self._switches.items():
-            if not works:
+            if not self._works:
                 switch.forget()
             elif switch.works(time.monotonic()):
                 self._link.post(self._actions[channel])

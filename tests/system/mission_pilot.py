@@ -34,6 +34,7 @@ class Said:
         acks: MAV_RESULT by command.
         height_m: above home.
         armed: motors turn.
+        fix_type: of the GPS receiver, GPS_FIX_TYPE.
         beats_s: when each heartbeat of the daemon was passed on to the autopilot, time.monotonic.
         floats: NAMED_VALUE_FLOAT, the last value of each name.
     """
@@ -48,6 +49,7 @@ class Said:
     acks: dict[int, int] = field(default_factory=dict)
     height_m: float = 0.0
     armed: bool = False
+    fix_type: int = 0
     beats_s: list[float] = field(default_factory=list)
     floats: dict[str, float] = field(default_factory=dict)
 
@@ -206,6 +208,8 @@ class Pilot:
                 said.current.append(message.seq)
         elif kind == "MISSION_ITEM_REACHED":
             said.reached.append(message.seq)
+        elif kind == "GPS_RAW_INT":
+            said.fix_type = message.fix_type
         elif kind == "GLOBAL_POSITION_INT":
             said.height_m = message.relative_alt / 1000.0
         elif kind == "STATUSTEXT":

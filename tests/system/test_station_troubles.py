@@ -216,7 +216,7 @@ async def test_no_gps_no_arrival(opens: Opens, tmp_path: Path) -> None:
         auto = said.custom_mode
         name, without, with_gps, whole = (ARDUCOPTER if one.kind == "ardupilot" else PX4).gps
         one.pilot.parameter(name, without, whole=whole)
-        await one.ground.until(lambda: one.ground.state["vehicle"]["position_ok"] is False, 20)
+        await one.pilot.until(lambda: said.fix_type < 3, 20)
         with contextlib.suppress(TimeoutError):
             await one.pilot.until(lambda: said.custom_mode != auto, 12)
         print(f"{one.kind} without GPS: mode {said.custom_mode}, {one.outcomes}, {said.autopilot_texts[-4:]}")
@@ -292,7 +292,8 @@ class Receiver:
     def __init__(self, one: Flight) -> None:
         self.pulses = True
         self._one = one
-        self._channels = [1500, 1500, LOW, 1500, *[LOW] * 12]
+        # the others as ArduPilot's SITL has them by itself, so that no flight mode is chosen
+        self._channels = [1500, 1500, LOW, 1500, 1800, LOW, LOW, 1800, *[LOW] * 8]
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._port = 0
         if one.kind == "ardupilot":
@@ -305,6 +306,7 @@ class Receiver:
 
     async def run(self) -> None:
         """Put them out 20 times a second, until cancelled."""
+        await self._one.pilot.until(lambda: self._one.pilot.said.custom_mode >= 0)
         with contextlib.closing(self._socket):
             while True:
                 if self._port:

@@ -20,7 +20,7 @@ from panoexec.sim.process import running_simulator
 from tests.support.truth import untruths
 from tests.system.daemon import Ground, ground_station, ready, serving
 from tests.system.mission_pilot import Pilot
-from tests.system.sitl_kinds import ARDUCOPTER, Autopilot, autopilots
+from tests.system.sitl_kinds import Autopilot, autopilots
 from tests.wire.broker import needs_mosquitto, running_broker
 from tests.wire.mission_conversation import DIGICAM, LATITUDE, LONGITUDE, RTL, TAKEOFF, WAYPOINT, item, offset
 
@@ -144,10 +144,11 @@ async def test_a_mission_with_stations_in_wind(autopilot: Autopilot, tmp_path: P
     assert min(stop["before_s"] + stop["after_s"] for stop in tour["stops"]) <= 3.0
 
 
-@autopilots(ARDUCOPTER)
+@autopilots()
 async def test_the_daemon_is_killed_in_a_station(autopilot: Autopilot, tmp_path: Path) -> None:
     count = max(2, STATIONS)
     tour = await flown(autopilot, tmp_path, killed_in=min(3, count), count=count)
+    print(json.dumps([[s["before_s"], s["after_s"]] for s in tour["stops"]]))
     hold_to_account(tmp_path, tour, count)
 
 

@@ -9,7 +9,7 @@ from typing import Final
 from panoexec.daemon.stations.marked import Station, distance_to_m
 from panoexec.devices import VehicleStatus
 
-REST_S: Final = 0.8
+REST_S: Final = 0.4
 """For so long it must have been near and slow."""
 REST_M_S: Final = 0.6
 _KEPT_S: Final = 3.0

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any, cast
+
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from panoexec.adapters.rc_switches import HIGH_US, LOW_US, STALE_S, Switch
+from panoexec.adapters.link.message_hub import MavMessage
+from panoexec.adapters.rc_switches import HIGH_US, LOW_US, STALE_S, RcSwitches, Switch
 
 READ_S = 0.2
 
@@ -77,6 +82,52 @@ def test_channels_that_do_not_exist_and_streams_that_end_need_a_low_again() -> N
     bench.now_s += STALE_S + 1.0
     bench.hold(2000, 5.0)
     assert bench.acted == 0
+
+
+class Vehicle:
+    """A link to an autopilot: RC_CHANNELS five times a second, SYS_STATUS once a second."""
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.now_s, self.acted = 100.0, 0
+        self._handlers: dict[str, Callable[[MavMessage], None]] = {}
+        patch.setattr("panoexec.adapters.rc_switches.time.monotonic", lambda: self.now_s)
+        RcSwitches(cast("Any", self), {8: self._act})
+
+    def on(self, name: str, handler: Callable[[MavMessage], None]) -> Callable[[], None]:
+        self._handlers[name] = handler
+        return lambda: None
+
+    def post(self, action: Callable[[], None]) -> None:
+        action()
+
+    def _act(self) -> None:
+        self.acted += 1
+
+    def hold(self, pulse_us: int, seconds: float, *, receiver: bool = True) -> None:
+        for _ in range(round(seconds / READ_S)):
+            self.now_s += READ_S
+            self._hear("RC_CHANNELS", {"chan8_raw": pulse_us})
+            if round(self.now_s / READ_S) % 5 == 0:
+                kinds = ("present", "enabled", "health")
+                self._hear("SYS_STATUS", {f"onboard_control_sensors_{kind}": 65536 * receiver for kind in kinds})
+
+    def _hear(self, name: str, fields: dict[str, Any]) -> None:
+        self._handlers[name](MavMessage(name, 1, fields, self.now_s))
+
+
+def test_a_switch_on_the_vehicle_acts_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle = Vehicle(monkeypatch)
+    vehicle.hold(1000, 3.0)
+    vehicle.hold(2000, 5.0)
+    assert vehicle.acted == 1
+
+
+def test_the_last_pulses_that_are_sent_on_without_a_receiver_count_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle = Vehicle(monkeypatch)
+    vehicle.hold(1000, 3.0)
+    vehicle.hold(1000, 4.8, receiver=False)
+    vehicle.hold(2000, 10.0)
+    assert vehicle.acted == 0
 
 
 @given(st.lists(st.tuples(st.integers(LOW_US, 2100), st.integers(1, 20)), max_size=30))

@@ -125,7 +125,7 @@ def arrived(statuses: list[VehicleStatus], *, step_s: float = 0.2) -> list[bool]
 
 
 def test_it_has_arrived_when_it_is_near_and_at_rest() -> None:
-    assert arrived([near(0.3)] * 6) == [False] * 4 + [True] * 2
+    assert arrived([near(0.3)] * 6) == [False] * 2 + [True] * 4
     assert not any(arrived([near(2.5)] * 20))
 
 
