@@ -29,6 +29,7 @@ _LAST_LOOK_S: Final = 20.0
 """Longest wait for the first report of a camera at the end of a mission."""
 _LOOK_EVERY_S: Final = 0.5
 _TWICE: Final = "the camera's reports assign the same photo to two shots"
+_ONE_FILE: Final = "the camera's reports name one file for two photos of a bracket"
 
 
 class Verdicts(Protocol):
@@ -109,6 +110,8 @@ class PhotoProof:
             self._verdicts.reject(shot, number, code, why, proven)
         elif level < self._required:
             self._verdicts.reject(shot, number, "evidence", _unreported(level), proven)
+        elif _share_a_file(proven):
+            self._verdicts.reject(shot, number, "evidence", _ONE_FILE, proven)
         elif others := self._claims(proven):
             self._verdicts.reject(shot, number, "evidence", _TWICE, proven)
             for other in others:
@@ -141,6 +144,8 @@ class PhotoProof:
                 for other in claims:
                     self._revoke(other, "evidence", _TWICE)
                 continue
+            if not code and _share_a_file(one.photos):
+                code, why = "evidence", _ONE_FILE
             if not code and reported < self._context.record.reported_level and self._is_overdue(one):
                 code, why = "evidence", _unreported(reported)
             if code:
@@ -230,6 +235,11 @@ class PhotoProof:
 def _tells_more(new: ev.Photo, old: ev.Photo) -> bool:
     named = (new.file and not old.file) or (new.image_index >= 0 > old.image_index)
     return new.evidence > old.evidence or bool(named)
+
+
+def _share_a_file(photos: Sequence[ev.Photo]) -> bool:
+    files = [photo.file for photo in photos if photo.file]
+    return len(set(files)) < len(files)
 
 
 def _unreported(level: EvidenceLevel) -> str:

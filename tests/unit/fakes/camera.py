@@ -48,7 +48,7 @@ class FakeCapture:
             level=self.level,
             received_s=self.proof_s,
             image_index=self.index,
-            file_url=f"IMG_{self.index:04d}.jpg" if has_file else "",
+            file_url=f"IMG_{self.index // self.camera.photos_a_name:04d}.jpg" if has_file else "",
             time_utc_s=clock.time(),
             exposed_s=self.camera.photos[self.index].exposed_s if self.camera.dates else math.nan,
             exposed_error_s=0.02 if self.camera.dates else math.nan,
@@ -83,6 +83,8 @@ class FakeCamera:
     counts: bool = False
     """Whether it tells how many it has taken."""
     memory_fails: int = 0
+    photos_a_name: int = 1
+    """How many of its photos in a row have one file name."""
     dates: bool = False
     """Whether its reports tell when it exposed."""
     contradictions: dict[int, str] = field(default_factory=dict)

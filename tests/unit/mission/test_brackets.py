@@ -23,6 +23,14 @@ def test_a_bracket_is_one_shot_with_all_its_photos() -> None:
         assert [photo.number for photo in shot.attempts[0].photos] == [1, 2, 3, 4, 5]
 
 
+def test_photos_of_a_bracket_that_have_one_file_are_not_two_photos() -> None:
+    world = fly(prepare=lambda w: setattr(w.camera, "photos_a_name", 2), settings=FIVE)
+    assert world.record.state is S.FAILED, "paused for a systematic failure"
+    assert not world.sink.of(ev.ShotAccepted)
+    assert {event.code for event in world.sink.of(ev.ShotRejected)} == {"evidence"}
+    assert "one file for two photos" in world.sink.of(ev.ShotRejected)[0].reason
+
+
 def test_a_pilot_need_not_wait_for_the_rest_of_a_bracket() -> None:
     async def script(world: World, mission: Mission) -> None:
         await until_photos(world, 7)
