@@ -70,7 +70,8 @@ class Thumbnails:
             MissionStorageError: there is no such mission.
         """
         found = await asyncio.to_thread(self._existing, mission_id)
-        chosen = [shot for shot in sorted(found, reverse=True) if shots is None or shot in set(shots)]
+        wanted = found.keys() if shots is None else found.keys() & set(shots)
+        chosen = sorted(wanted, reverse=True)
         for shot in chosen:
             _put(self._to_send, (mission_id, shot), found[shot])
         self._news.set()

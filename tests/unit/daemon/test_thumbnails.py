@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import io
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, cast
@@ -108,6 +108,27 @@ async def test_they_are_made_kept_and_published_the_newest_first_and_again(tmp_p
         assert [topic for topic, _ in link.sent[3:]] == [f"{MISSION}/0", f"{MISSION}/2"]
         with pytest.raises(MissionStorageError, match="there is no mission"):
             await made.send_again("20200101T000000.000Z", None)
+
+
+class _Counted(list[int]):
+    """Shots of a request, and how often they were gone through."""
+
+    gone_through = 0
+
+    def __iter__(self) -> Iterator[int]:
+        self.gone_through += 1
+        return super().__iter__()
+
+
+async def test_a_long_request_is_gone_through_once(tmp_path: Path, folder: Path) -> None:
+    """10 000 shots, asked of a mission with 2000 thumbnails, stopped the event loop for 3 s."""
+    (folder / "thumbnails").mkdir()
+    for shot in range(50):
+        (folder / "thumbnails" / f"{shot}.jpg").write_bytes(b"x")
+    asked = _Counted(range(10_000))
+    config = Config.model_validate({"storage": {"path": str(tmp_path)}})
+    assert await Thumbnails(config=lambda: config, mqtt=None).send_again(MISSION, asked) == 50
+    assert asked.gone_through == 1
 
 
 async def test_the_budget_holds(tmp_path: Path, folder: Path) -> None:
