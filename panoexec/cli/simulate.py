@@ -22,7 +22,7 @@ from panoexec.sim.options import add_arguments as add_simulation_arguments
 from panoexec.sim.options import config_of
 
 if TYPE_CHECKING:
-    from panoexec.sim.server import Ready
+    from panoexec.sim.run_documents import Ready
 
 EXIT_INTERRUPTED = 130
 

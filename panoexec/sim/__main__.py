@@ -18,6 +18,7 @@ from panoexec.errors import PanoexecError
 from panoexec.sim import settings
 from panoexec.sim.config import SimConfig
 from panoexec.sim.options import add_arguments, config_of
+from panoexec.sim.run_documents import Ready
 
 
 def main(argv: list[str]) -> int:
@@ -46,7 +47,7 @@ def _from_options(argv: list[str]) -> SimConfig:
 
 
 def _run(config: SimConfig, *, stdin_bound: bool, paced: bool) -> int:
-    from panoexec.sim.server import Ready, run_simulation  # noqa: PLC0415  (pymavlink may be missing)
+    from panoexec.sim.server import run_simulation  # noqa: PLC0415  (pymavlink may be missing)
 
     def ready(state: Ready) -> None:
         print(json.dumps(state.document()), flush=True)

@@ -10,7 +10,7 @@ import pytest
 from panoexec.cli.app import run
 from panoexec.sim import server
 from panoexec.sim.config import SimConfig
-from panoexec.sim.server import Ready, Summary
+from panoexec.sim.run_documents import Ready, Summary
 
 
 @pytest.mark.parametrize(
