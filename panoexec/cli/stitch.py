@@ -26,7 +26,8 @@ from panoexec.store.directory import MissionDirectory
 
 if TYPE_CHECKING:
     from panoexec.stitching.mission import StitchInput
-    from panoexec.stitching.pipeline import StitchOptions, StitchResult
+    from panoexec.stitching.pipeline import StitchOptions
+    from panoexec.stitching.result import StitchResult
 
 _SHOWN = 12
 

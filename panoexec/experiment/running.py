@@ -22,7 +22,8 @@ from panoexec.planning.model import Plan
 from panoexec.sim.photos.scene import DEFAULT_WIDTH_PX as SCENE_WIDTH_PX
 from panoexec.sim.photos.scene import Scene, load_scene, procedural_scene
 from panoexec.stitching.mission import load_mission
-from panoexec.stitching.pipeline import Stitcher, StitchOptions, StitchResult
+from panoexec.stitching.pipeline import Stitcher, StitchOptions
+from panoexec.stitching.result import StitchResult
 from panoexec.stitching.tools import check_tools, disk_error
 
 FORMAT: Final = "panoexec.experiment/1"

@@ -18,7 +18,7 @@ import shutil
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -30,7 +30,7 @@ from panoexec.files import write_atomically, write_atomically_with
 from panoexec.formats.hugin_pto import PtoProject, parse_pto, render_pto
 from panoexec.formats.xmp import gpano_properties, packet, with_xmp
 from panoexec.stitching.adjustment import Adjustment, Lens, Points, adjust, spread_points, tied_group
-from panoexec.stitching.completeness import Completeness, Ground, PanoramaHole
+from panoexec.stitching.completeness import Ground
 from panoexec.stitching.examination import (
     Examination,
     examination_from_json,
@@ -42,9 +42,9 @@ from panoexec.stitching.matching import as_control_points, believable, find_poin
 from panoexec.stitching.mission import StitchInput
 from panoexec.stitching.place import exif_of
 from panoexec.stitching.rendering import PanoramaRenderer, Rendered
+from panoexec.stitching.result import StitchResult, result_from_json
 from panoexec.stitching.tools import StitchError, ToolError, check_tools, disk_error
 
-FORMAT: Final = "panoexec.stitch/1"
 STEPS: Final = ("match", "align", "render", "finish")
 _POINTS_A_PAIR: Final = 40
 
@@ -68,58 +68,6 @@ class StitchOptions:
     memory_bytes: int = 1 << 30
     restart: bool = False
     matcher: Literal["own", "cpfind"] = "own"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StitchResult:
-    """The result of stitching.
-
-    Attributes:
-        completeness: equation (8) and the holes.
-        images: number of stitched photos.
-        left_out: unusable photos, with the reason.
-        untied: names of photos without control points to the others; they keep their measured angles.
-        points: control points used.
-        rms_px: their residual, pixels of the photos.
-        hfov_deg: field of view as adjusted.
-        correction_deg: largest correction of an image's attitude.
-        canvas_px: size of the whole sphere.
-        seconds: duration of each step, over all runs.
-        panorama: the TIFF.
-        preview: the JPEG.
-        content: what the examination of the photos found (`Examination.to_json`).
-    """
-
-    completeness: Completeness
-    images: int
-    left_out: dict[str, str]
-    untied: tuple[str, ...]
-    points: int
-    rms_px: float
-    hfov_deg: float
-    correction_deg: float
-    canvas_px: tuple[int, int]
-    seconds: dict[str, float] = field(default_factory=dict)
-    panorama: Path = Path()
-    preview: Path = Path()
-    content: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def bad(self) -> list[dict[str, Any]]:
-        """Photos that do not count: shot, file, code, reason."""
-        return list(self.content.get("bad", []))
-
-    def to_json(self) -> dict[str, Any]:
-        """A JSON object (`panoexec.stitch/1`)."""
-        document = asdict(self)
-        rms = self.rms_px if np.isfinite(self.rms_px) else None
-        return {
-            "format": FORMAT,
-            **document,
-            "rms_px": rms,
-            "panorama": self.panorama.name,
-            "preview": self.preview.name,
-        }
 
 
 class ContentRefusedError(StitchError):
@@ -380,32 +328,6 @@ class Stitcher:
 
     def _write_state(self) -> None:
         write_atomically(self._work / "state.json", json.dumps(self._state, indent=1) + "\n")
-
-
-def result_from_json(document: dict[str, Any], work: Path) -> StitchResult:
-    """The result that `StitchResult.to_json` wrote.
-
-    Args:
-        document: the JSON object.
-        work: its folder.
-    """
-    verdict = document["completeness"]
-    holes = tuple(PanoramaHole(**hole) for hole in verdict["holes"])
-    return StitchResult(
-        completeness=Completeness(**{**verdict, "holes": holes}),
-        images=document["images"],
-        left_out=document["left_out"],
-        untied=tuple(document["untied"]),
-        points=document["points"],
-        rms_px=float("nan") if document["rms_px"] is None else document["rms_px"],
-        hfov_deg=document["hfov_deg"],
-        correction_deg=document["correction_deg"],
-        canvas_px=(document["canvas_px"][0], document["canvas_px"][1]),
-        seconds=document["seconds"],
-        panorama=work / document["panorama"],
-        preview=work / document["preview"],
-        content=document.get("content", {}),
-    )
 
 
 def _digest(*parts: str) -> str:
