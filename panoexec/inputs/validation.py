@@ -12,17 +12,21 @@ from pydantic import BaseModel, ValidationError
 
 from panoexec.errors import InputFileError
 
+MOST_PROBLEMS = 50
+"""Lines; requests of strangers have up to 10 000 problems."""
 _LONGEST_VALUE = 60
 
 
 def problem_lines(error: ValidationError, model: type[BaseModel] | None = None) -> list[str]:
-    """One line for each problem: `key: value is wrong because …`.
+    """One line for each problem: `key: value is wrong because …`; beyond `MOST_PROBLEMS`, how many more there are.
 
     Args:
         error: the problems.
         model: what was validated: unknown keys get the known one that is nearest.
     """
-    return [_line(dict(problem), model) for problem in error.errors(include_url=False)]
+    lines = [_line(dict(problem), model) for problem in error.errors(include_url=False)[:MOST_PROBLEMS]]
+    more = error.error_count() - len(lines)
+    return [*lines, f"and {more} more problems"] if more else lines
 
 
 def _line(problem: dict[str, Any], model: type[BaseModel] | None) -> str:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import time
 from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from panoexec.errors import InputFileError
+from panoexec.inputs.camera_profiles import profile_from_mapping
 from panoexec.mqtt.messages import Response, dump, failed
 from panoexec.mqtt.parsing import parse_request
 from panoexec.mqtt.requests import MAX_PAYLOAD, REQUESTS, PlanRequest, RefusedRequestError, SkipRequest
@@ -180,3 +183,25 @@ def test_any_bytes_are_a_request_or_an_error_that_can_be_sent(payload: bytes, da
 
 def test_the_names_of_the_commands_are_listed_once_for_all() -> None:
     assert set(REQUESTS) == set(COMMANDS)
+
+
+def test_a_large_request_that_is_wrong_everywhere_is_refused_at_once() -> None:
+    """A key that comes twice behind 7700 others took seconds, in which the daemon obeyed no stop."""
+    keys = [f'"{number:x}":0' for number in range(7700)]
+    requests = {
+        "one key twice": "{" + ",".join([*keys, keys[-1]]) + "}",
+        "unknown keys": "{" + ",".join(keys) + "}",
+        "wrong values": '{"transaction":1,"shots":[' + ",".join(['"a"'] * 9900) + "]}",
+    }
+    for what, payload in requests.items():
+        began_s = time.process_time()
+        error = refused("thumbnails", payload.encode())
+        assert time.process_time() - began_s < 0.5, what
+        assert len(error.message) < 1000
+
+
+def test_of_many_problems_some_are_told_and_how_many_more_there_are() -> None:
+    with pytest.raises(InputFileError) as caught:
+        profile_from_mapping({f"key{number}": 0 for number in range(7000)}, source="camera")
+    assert len(caught.value.problems) < 60
+    assert any(line.startswith("and ") and line.endswith(" more problems") for line in caught.value.problems)
