@@ -66,11 +66,12 @@ def run(args: argparse.Namespace) -> int:
     if args.url is None and (args.user or args.password_file or args.ca_file):
         raise UsageError("--user, --password-file and --ca-file are for --url")
     target = _from_page(args) if args.url is not None else _from_storage(args)
-    problems = _problems(MissionDirectory(target))
+    problems, verified = _problems(MissionDirectory(target))
     if args.json:
         print_json({"mission": str(target), "problems": problems})
     else:
         print(target)
+    note(f"photos verified by the hashes of the manifest: {verified}")
     for problem in problems[:_SHOWN]:
         note(problem)
     if len(problems) > _SHOWN:
@@ -153,18 +154,21 @@ def _rsync(*arguments: str) -> str:
         raise _TransferError("rsync is not installed: apt-get install rsync")
     done = subprocess.run(["rsync", *arguments], capture_output=True, text=True, check=False)  # noqa: S603, S607
     if done.returncode:
-        lines = [line for line in done.stderr.splitlines() if line.strip()]
-        raise _TransferError(f"rsync failed: {lines[0] if lines else f'exit code {done.returncode}'}")
+        # ssh tells of host keys that it learns before anything goes wrong
+        lines = [line for line in done.stderr.splitlines() if line.strip() and not line.startswith("Warning: ")]
+        why = lines[0] if lines else f"exit code {done.returncode}"
+        hint = " (there, as root: adduser USER panoexec)" if "Permission denied (13)" in why else ""
+        raise _TransferError(f"rsync failed: {why}{hint}")
     return done.stdout
 
 
-def _problems(directory: MissionDirectory) -> list[str]:
-    """Photos that are missing or are not those of the manifest."""
+def _problems(directory: MissionDirectory) -> tuple[list[str], int]:
+    """Photos that are missing or are not those of the manifest, a line each; and the number of those that are."""
     try:
         manifest = read_manifest(directory.manifest)
     except PanoexecError as error:
-        return [str(error)]
-    out = []
+        return [str(error)], 0
+    out, verified = [], 0
     for shot in manifest["shots"]:
         file, digest = shot.get("file"), shot.get("sha256")
         if shot.get("accepted_attempt") is None or not file or not digest:
@@ -174,6 +178,7 @@ def _problems(directory: MissionDirectory) -> list[str]:
         except OSError:
             out.append(f"shot {shot['index']}: {file} is missing")
         else:
+            verified += is_same
             if not is_same:
                 out.append(f"shot {shot['index']}: {file} is not the photo of the manifest")
-    return out
+    return out, verified

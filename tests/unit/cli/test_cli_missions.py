@@ -90,6 +90,13 @@ def test_a_mission_comes_by_rsync_from_another_computer(
     assert (here / mission.mission_id / "images" / "0.JPG").read_bytes() == (mission.images / "0.JPG").read_bytes()
     assert run(["fetch", "20200101T000000.000Z", "--from", f"drone:{storage}", "--to", str(here)]) == 3
     assert "rsync failed" in capsys.readouterr().err
+    shell.write_text(
+        "#!/bin/sh\necho \"Warning: Permanently added 'drone' to the list of known hosts.\" >&2\n"
+        "echo 'rsync: [sender] change_dir \"/srv/missions\" failed: Permission denied (13)' >&2\nexit 23\n"
+    )
+    assert run(["fetch", "--from", f"pi@drone.local:{storage}", "--to", str(here)]) == 3
+    refused = 'change_dir "/srv/missions" failed: Permission denied (13) (there, as root: adduser USER panoexec)'
+    assert f"panoexec: rsync failed: rsync: [sender] {refused}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
