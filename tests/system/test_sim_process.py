@@ -48,7 +48,8 @@ def port_of(sock: socket.socket) -> str:
 def test_the_verb_says_how_to_connect_flies_and_ends_cleanly(
     ground: socket.socket, tmp_path: Path, stop: signal.Signals, code: int
 ) -> None:
-    options = ["--port", port_of(ground), "--output", str(tmp_path / "photos"), "--camera", "dji-x5s-15mm", "--json"]
+    photos = ["--output", str(tmp_path / "photos"), "--camera", "dji-x5s-15mm", "--image-width", "160"]
+    options = ["--port", port_of(ground), *photos, "--json"]
     with subprocess.Popen([*SIMULATE, *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         data, vehicle = ground.recvfrom(65535)
         assert mavlink.MAVLink(None).decode(bytearray(data[: 12 + data[1]])).get_type() == "HEARTBEAT"

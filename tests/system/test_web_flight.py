@@ -41,21 +41,21 @@ def demo(tmp_path: Path) -> Iterator[str]:
     """The address of the page of a demo that flies four times as fast as in the field."""
     command = [sys.executable, "-m", "panoexec", "demo", "--page-port", "0", "--speedup", "4"]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    process = subprocess.Popen(
+    with subprocess.Popen(
         command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, encoding="utf-8"
-    )
-    said = ""
-    assert process.stderr is not None
-    for line in process.stderr:
-        said += line
-        if "Ctrl-C ends everything" in line:
-            break
-    try:
-        yield re.findall(r"http://\S+", said)[0]
-    finally:
-        process.send_signal(signal.SIGINT)
-        process.wait(60)
-        process.stderr.close()
+    ) as process:
+        try:
+            said = ""
+            assert process.stderr is not None
+            for line in process.stderr:
+                said += line
+                if "Ctrl-C ends everything" in line:
+                    break
+            yield re.findall(r"http://\S+", said)[0]
+            process.send_signal(signal.SIGINT)
+            process.wait(60)
+        finally:
+            process.kill()  # its programs end with it
 
 
 @pytest.fixture

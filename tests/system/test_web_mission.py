@@ -43,9 +43,14 @@ async def test_a_page_flies_a_mission_and_shows_what_the_manifest_says(tmp_path:
                 assert "by TABLET-1: look" in paused["state"]["reason"]
                 assert (await page.command("repeat-001", "repeat", shot=taken["shot"]["i"]))["stage"] == "done"
                 assert (await page.command("resume-001", "resume"))["stage"] == "done"
+                total = paused["state"]["shots_total"]
+                for shot in range(total):
+                    await page.until(
+                        "shot",
+                        lambda one, shot=shot: one["shot"]["i"] == shot and one["shot"]["accepted"] is not None,  # type: ignore[misc]
+                    )
                 await page.until("state", lambda one: one["state"]["state"] == "complete")
                 await page.until("event", lambda one: one["event"]["kind"] == "mission_finished")
-                total = paused["state"]["shots_total"]
                 for shot in range(total):
                     await page.until("thumbnail", lambda one, shot=shot: one["shot"] == shot)  # type: ignore[misc]
             async with browser(server, follow="drone") as late:
