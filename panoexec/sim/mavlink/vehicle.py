@@ -15,6 +15,7 @@ from panoexec.sim.faults import Faults
 from panoexec.sim.mavlink.auto_flight import AutoFlight
 from panoexec.sim.mavlink.component import Command, Component, command_of
 from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.mavlink.gated_link import GatedLink
 from panoexec.sim.mavlink.held_up import HeldUp
 from panoexec.sim.mavlink.manager import GimbalManager
 from panoexec.sim.mavlink.mission_items import Item
@@ -91,7 +92,7 @@ class Vehicle:
         self.airframe = airframe
         self.modes = FlightModes(config.autopilot)
         self._links = {"ground": ground, "payload": payload}
-        self._ground_gate = _GatedLink(ground, self)
+        self._ground_gate = GatedLink(ground, self._drops)
         self._ground_heard = False  # nothing is forwarded to the ground until a ground station was heard
         self._telemetry = Telemetry(
             config,
@@ -147,7 +148,7 @@ class Vehicle:
             Repeater(timeline, self.manager.poll_driver).start(1 / config.gimbal.report_hz)
 
     def _component(self, link: Link) -> Component:
-        gate = _GatedLink(link, self)
+        gate = GatedLink(link, self._drops)
         return Component(timeline=self._timeline, sender=self._sender, link=gate, heartbeat=self._telemetry.heartbeat)
 
     def _gimbal_builders(self) -> dict[int, Callable[[], Message | None]]:
@@ -278,6 +279,10 @@ class Vehicle:
     def is_ground(self, link: Link) -> bool:
         """Whether a link leads to the ground."""
         return link is self._links["ground"]
+
+    def _drops(self, link: Link) -> bool:
+        """Whether nothing is sent on a link now: during a reboot, or on a lost link to the ground."""
+        return self.is_silent or (self.is_ground(link) and self.link_is_lost())
 
     def _handle(self, source: Component, message: Message) -> None:
         kind = message.get_type()
@@ -434,19 +439,3 @@ def _gimbal_wanted() -> Message:
     """PX4 asks everybody for GIMBAL_DEVICE_INFORMATION (283)."""
     wanted = mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_INFORMATION
     return mavlink.MAVLink_command_long_message(0, 0, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, wanted, 0, 0, 0, 0, 0, 0)
-
-
-class _GatedLink:
-    """A link of the vehicle that drops all messages during a reboot or a link loss."""
-
-    def __init__(self, link: Link, vehicle: Vehicle) -> None:
-        self.name = link.name
-        self._link = link
-        self._vehicle = vehicle
-
-    def send(self, frame: bytes, message: Message) -> None:
-        """See `Link.send`."""
-        vehicle = self._vehicle
-        if vehicle.is_silent or (vehicle.is_ground(self._link) and vehicle.link_is_lost()):
-            return
-        self._link.send(frame, message)
