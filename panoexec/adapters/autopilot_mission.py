@@ -103,6 +103,7 @@ class AutopilotMission:
         digest: of these items; "" before they were read.
         stale: something hints that they are not the autopilot's any more.
         current: as told last; None before.
+        reached: the item that was told as reached since one was made current; None for none.
         is_to_introduce: another panoexec was heard that may not know of this one.
     """
 
@@ -112,6 +113,7 @@ class AutopilotMission:
         self.digest = ""
         self.stale = True
         self.current: Current | None = None
+        self.reached: int | None = None
         self.is_to_introduce = False
         self._others: frozenset[int] = frozenset()
         self._link = link
@@ -160,13 +162,16 @@ class AutopilotMission:
         return changed
 
     async def make_current(self, seq: int) -> None:
-        """Have the autopilot go on with an item; returns when it was acknowledged (PX4: when it is current).
+        """Have the autopilot go on with an item; returns when it was acknowledged (PX4: when it is current, or done).
+
+        PX4 tells another current item at its next turn, once a second (measured), and an item that is done at once.
 
         Raises:
             DeviceError: refused, not answered, or not done.
             LinkError: no link.
         """
         what = f"going on with item {seq} of the mission"
+        self.reached = None
         if self._link.autopilot == "ardupilot":
             result = await self._link.requests.command(DO_SET_MISSION_CURRENT, [seq])
             if result != 0:
@@ -179,7 +184,7 @@ class AutopilotMission:
             end_s = time.monotonic() + _CONFIRM_S
             while time.monotonic() < end_s:
                 now = self.current
-                if now is not None and before is not None and now.seq != before.seq:
+                if self.reached == seq or (now is not None and before is not None and now.seq != before.seq):
                     return
                 await asyncio.sleep(0.05)
         raise DeviceError(f"{what}: the autopilot did not")
@@ -202,6 +207,7 @@ class AutopilotMission:
         """Subscribe to messages."""
         self._off = [
             self._link.on("MISSION_CURRENT", self._told),
+            self._link.on("MISSION_ITEM_REACHED", self._done),
             self._link.on("STATUSTEXT", self._announced),
             self._link.when_back(self._came_back),
         ]
@@ -230,6 +236,10 @@ class AutopilotMission:
         self.current = now
         if before is None or (now.seq, now.total, now.mission_id) != (before.seq, before.total, before.mission_id):
             self.stale = True
+
+    def _done(self, message: MavMessage) -> None:
+        if message.component_id == AUTOPILOT:
+            self.reached = int(message.fields["seq"])
 
     def _announced(self, message: MavMessage) -> None:
         text, sender = str(message.fields.get("text", "")), message.component_id

@@ -131,8 +131,9 @@ class Holding:
             await self._mission.make_current(self._station.marker)
             end_s = self._clock.monotonic() + _GO_ON_S
             while self._clock.monotonic() < end_s:
-                current = self._mission.current
-                if current is not None and (current.seq != self._station.waypoint or current.state == COMPLETE):
+                current, done = self._mission.current, self._mission.reached == self._station.marker
+                left = current is not None and (current.seq != self._station.waypoint or current.state == COMPLETE)
+                if done or left:
                     return ""
                 await self._clock.sleep(0.05)
         except DeviceError as error:

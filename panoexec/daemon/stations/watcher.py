@@ -33,7 +33,7 @@ from panoexec.store.tours import OPEN, Stop
 
 TICK_S: Final = 0.2
 _SOON_S: Final = 0.05
-"""A tick when all photos are taken."""
+"""A tick near a station, and when all photos are taken."""
 _MODE_S: Final = 3.0
 _RELEASING: Final = frozenset({"pilot", "landed", "battery", "gimbal_control"})
 """Codes of pauses after which the vehicle is not kept at the station."""
@@ -135,7 +135,7 @@ class Stations:
                 if str(error) != trouble:
                     trouble = str(error)
                     _log.warning("stations", error=trouble)
-            await self._clock.sleep(TICK_S)
+            await self._clock.sleep(TICK_S if math.isnan(self._arrival.since_s) else _SOON_S)
 
     async def _look(self) -> None:
         mission, status = self._vehicle.autopilot_mission, self._vehicle.status

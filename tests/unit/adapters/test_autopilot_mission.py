@@ -23,7 +23,7 @@ class Link:
         self.own_ids, self.has_id_conflict, self.autopilot = (1, 191), False, "ardupilot"
         self.components: dict[int, tuple[int, float]] = {}
         self.told = [0, 1, 2]
-        self.requests = self
+        self.requests, self.system_id = self, 1
         self._handlers: dict[str, Callable[[MavMessage], None]] = {}
 
     def on(self, name: str, handler: Callable[[MavMessage], None]) -> Callable[[], None]:
@@ -39,6 +39,11 @@ class Link:
     async def mavsdk_call(self, _what: str, _call: Any) -> list[Any]:
         zeros = dict.fromkeys(("command", "frame", "param1", "param2", "param3", "param4", "x", "y", "z"), 0)
         return [SimpleNamespace(seq=seq, **zeros) for seq in self.told]
+
+    async def send(self, _what: str, name: str, fields: dict[str, Any]) -> None:
+        """PX4 tells that a marker is done at once, and the new current item at its next turn."""
+        assert (name, fields["seq"]) == ("MISSION_SET_CURRENT", 2)
+        self._handlers["MISSION_ITEM_REACHED"](MavMessage("MISSION_ITEM_REACHED", 1, {"seq": 2}, 0.0, system_id=1))
 
     def hear(self, component: int, text: str) -> None:
         self.components[component] = (18, time.monotonic())
@@ -89,3 +94,12 @@ async def test_items_that_another_station_asked_for_are_no_mission(link: Link, t
         await mission.read()
     assert mission.stale
     assert mission.digest == digest
+
+
+async def test_px4_goes_on_when_it_tells_that_the_marker_is_done(link: Link) -> None:
+    link.autopilot = "px4"
+    async with AutopilotMission(cast("Any", link)) as mission:
+        mission.reached = 4
+        await mission.make_current(2)
+        assert mission.reached == 2
+        assert mission.current is None

@@ -82,6 +82,7 @@ class World:
     armed: bool = True
     claimed: str = ""
     is_to_introduce: bool = False
+    reached: int | None = None
     plan_s: float = 25.0
     plan_error: Exception | None = None
     refuses: str = ""
