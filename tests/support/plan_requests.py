@@ -7,8 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from panoexec.inputs.camera_profiles import load_profile
+from panoexec.lens.distortion import Distortion
 from panoexec.optics import Camera
 from panoexec.planning.model import NO_TOLERANCE, AngleBox, Band, Constraints, GimbalLimits, Tolerance
+from panoexec.planning.skyline import Skyline
 
 SURVEY = 500
 """Requests of the survey: the seeds 0 to 499."""
@@ -22,13 +25,25 @@ _PAPER = Tolerance(pitch_deg=0.017, roll_deg=0.017, yaw_deg=0.667)
 _DEFAULT = Tolerance(pitch_deg=0.1, roll_deg=0.1, yaw_deg=0.7)
 
 
+_PROFILES = ("dji-x5s-15mm", "dji-x5s-45mm", "sony-a6000-35mm")
+
+
 def request_of(seed: int) -> tuple[Camera, Constraints]:
     """The request of a seed."""
     rng = np.random.default_rng([1906, seed])
     while True:
         camera, constraints = _drawn(rng)
         if expected_images(camera, constraints) <= _MOST_IMAGES:
-            return camera, constraints
+            break
+    # drawn apart, so that the other requests remain what they were
+    rng = np.random.default_rng([1907, seed])
+    if rng.random() < 0.15:
+        calibrated = _calibrated(rng)
+        if expected_images(calibrated, constraints) <= _MOST_IMAGES:
+            camera = calibrated
+    if rng.random() < 0.15:
+        constraints = replace(constraints, textured_below=_skyline(rng))
+    return camera, constraints
 
 
 def expected_images(camera: Camera, constraints: Constraints) -> float:
@@ -40,7 +55,10 @@ def expected_images(camera: Camera, constraints: Constraints) -> float:
 
 
 def stricter(constraints: Constraints) -> list[tuple[str, Constraints]]:
-    """Slightly stricter requests, each with its name: what satisfies one of them satisfies the request too."""
+    """Slightly stricter requests, each with its name: what satisfies one of them satisfies the request too.
+
+    With a skyline larger errors are not among them: less of each image counts, and overlaps are shares of that.
+    """
     siblings = [
         (f"overlap +{more:g}", replace(constraints, overlap_h=h, overlap_v=v))
         for more in (0.005, 0.01, 0.02, 0.03, 0.05)
@@ -54,7 +72,7 @@ def stricter(constraints: Constraints) -> list[tuple[str, Constraints]]:
     )
     if wider != band:
         siblings.append(("band +1°", replace(constraints, band=wider)))
-    if not tolerance.is_zero:
+    if not tolerance.is_zero and constraints.textured_below is None:
         more_error = Tolerance(
             pitch_deg=1.1 * tolerance.pitch_deg, roll_deg=1.1 * tolerance.roll_deg, yaw_deg=1.1 * tolerance.yaw_deg
         )
@@ -83,6 +101,31 @@ def _camera(rng: np.random.Generator) -> Camera:
     aspect = float(rng.choice(_ASPECTS)) if rng.random() < 0.85 else float(rng.uniform(0.35, 3.0))
     vfov_deg = 2 * math.degrees(math.atan(math.tan(math.radians(hfov_deg) / 2) / aspect))
     return Camera.from_fov(round(hfov_deg, 2), min(max(round(vfov_deg, 2), 6.0), 120.0))
+
+
+def _calibrated(rng: np.random.Generator) -> Camera:
+    """A profile with its calibrated focal length; every other one distorts, beside its middle and within a margin."""
+    camera = load_profile(str(rng.choice(_PROFILES))).camera
+    if rng.random() < 0.5:
+        return camera
+    k1, p1, p2 = rng.uniform(-0.1, 0.06), *rng.uniform(-0.001, 0.001, 2)
+    beside = rng.uniform(-0.01, 0.01, 2)
+    return replace(
+        camera,
+        distortion=Distortion(k1=round(float(k1), 4), p1=round(float(p1), 5), p2=round(float(p2), 5)),
+        principal_point_px=(
+            round(camera.image_width_px * float(0.5 + beside[0]), 1),
+            round(camera.image_height_px * float(0.5 + beside[1]), 1),
+        ),
+        fov_margin=float(rng.choice([0.0, 0.004, 0.01])),
+    )
+
+
+def _skyline(rng: np.random.Generator) -> Skyline:
+    if rng.random() < 0.6:
+        return Skyline.level(round(float(rng.uniform(-15.0, 40.0)), 1))
+    azimuths = sorted(rng.choice(np.arange(-180.0, 180.0), int(rng.integers(2, 9)), replace=False).tolist())
+    return Skyline(tuple((azimuth, round(float(rng.uniform(-10.0, 45.0)), 1)) for azimuth in azimuths))
 
 
 def _overlaps(rng: np.random.Generator) -> tuple[float, float]:
