@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from panoexec.angles import elevation_azimuth, rotation
 from panoexec.optics import Camera
@@ -115,7 +116,7 @@ class _Judge:
         if not holds_without_any_edge(nodes.tolist(), list(zip(a[edges].tolist(), b[edges].tolist(), strict=True))):
             yield "C4: the graph falls apart, or does without one edge"
 
-    def _may_meet(self, poses: Array, a: Array, b: Array) -> Mask:
+    def _may_meet(self, poses: Array, a: NDArray[np.intp], b: NDArray[np.intp]) -> Mask:
         reach = np.arctan(np.hypot(self._camera.half_width, self._camera.half_height))
         return np.asarray(np.sum(poses[a, :, 0] * poses[b, :, 0], axis=1) >= np.cos(min(2 * reach, np.pi)) - 1e-9)
 
