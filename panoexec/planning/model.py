@@ -218,7 +218,7 @@ class Shot:
 
     Attributes:
         index: position in the shooting order, from 0.
-        row: row number, from 0 at the lowest pitch; all images of a row have the same pitch.
+        row: row number, from 0 at the lowest pitch; the pitches of a row are the same, or nearly so.
         pitch_deg: positive up.
         yaw_deg: clockwise from the reference heading, [-180, 180).
         roll_deg: about the boresight, which pitch and yaw direct, positive when the right of the image goes down; these

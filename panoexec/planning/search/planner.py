@@ -3,6 +3,7 @@
     plan_certified → variants of the demands on rows (`panoexec.planning.search.variants`)
                    → rows by a shortest path (`panoexec.planning.search.row_search`), in ascending number of images
                    → slack distributed, rows rotated (`panoexec.planning.search.row_refinement`)
+                   → rows that lack a little, image by image (`panoexec.planning.search.uneven_rows`)
                    → the certificate (`panoexec.planning.certificate.verdict`), which decides
                    → images that see only masks dropped (`panoexec.planning.search.thinning`); order, estimate, bound
 
@@ -38,6 +39,7 @@ from panoexec.planning.search.row_seam import optimise_seam
 from panoexec.planning.search.row_search import Label, searches
 from panoexec.planning.search.siblings import siblings
 from panoexec.planning.search.thinning import drop_redundant_shots, trim_band
+from panoexec.planning.search.uneven_rows import uneven_rows
 from panoexec.planning.search.variants import Variant, variants
 
 _LABELS_TRIED = 3
@@ -192,6 +194,7 @@ class _Planner:
             group = self._search(self._constraints)
             if self._best is not None:
                 self._search_on(enough, group)
+                self._search_uneven(enough)
         except BudgetSpentError:
             cut = True
         if self._best is None:
@@ -237,6 +240,17 @@ class _Planner:
             if images is not None and (images <= enough or self._budget.work > allowed):
                 return
             self._try_variant(constraints, variant, within_band=variant.group >= _ONLY_FOR_TIES)
+
+    def _search_uneven(self, enough: int) -> None:
+        """Search for fewer images in rows that are not even."""
+
+        def images() -> int:
+            return self._best_images or 0
+
+        for shots in uneven_rows(self._camera, self._asked, images, enough=enough, budget=self._budget):
+            certificate = _verdict(self._camera, self._asked, shots)
+            if certificate.certified:
+                self._best = _Found(shots, certificate)
 
     def _further(self, group: int) -> Iterator[tuple[Constraints, Variant]]:
         """What to try after the search of the request itself, which ended at a group of variants."""

@@ -29,6 +29,7 @@ from panoexec.planning.model import (
 )
 from panoexec.planning.search.planner import plan_certified
 from panoexec.planning.search.row_steps import highest_pitch
+from tests.support.plan_judge import violations
 from tests.unit.planning.sampling import directions_in
 
 PAPER = Tolerance(pitch_deg=0.017, roll_deg=0.017, yaw_deg=0.667)
@@ -114,11 +115,12 @@ def brute_force_misses(plan: Plan, directions: np.ndarray, trials: int, rng: np.
     ("cam", "constraints", "goal"),
     [
         (WIDE, asked(-90, 50.5), 21),
-        (LONG, asked(-90, 37.7), 135),
+        (LONG, asked(-90, 37.7), 134),
         (APSC, asked(-90, 12.2), 40),
         (ISAAC, asked(-90, 90, overlap=0.3, tolerance=NO_TOLERANCE), 43),
+        (Camera.from_fov(56.2, 42.7), asked(-90, 90, overlap=0.3, tolerance=NO_TOLERANCE), 38),
     ],
-    ids=["scenario 1", "scenario 2", "scenario 3", "whole sphere"],
+    ids=["scenario 1", "scenario 2", "scenario 3", "whole sphere", "mapper and hugin"],
 )
 def test_goal_table_is_reached_certified_and_passes_brute_force(
     cam: Camera, constraints: Constraints, goal: int
@@ -127,6 +129,7 @@ def test_goal_table_is_reached_certified_and_passes_brute_force(
     assert len(plan.shots) <= goal
     rng = np.random.default_rng(1)
     assert brute_force_misses(plan, directions_in(constraints.band, 30_000, rng), 8, rng) == 0
+    assert violations(plan) == []
 
 
 def test_brute_force_check_detects_a_missing_image() -> None:
