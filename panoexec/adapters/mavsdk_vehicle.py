@@ -34,6 +34,8 @@ _IN_AIR: Final = frozenset({2, 3, 4})
 _SENSORS: Final = {1: "gyroscopes", 2: "accelerometers", 4: "compass", 8: "barometer", 0x200000: "attitude estimator"}
 """MAV_SYS_STATUS_SENSOR bits of attitude, heading and height; the position is checked separately."""
 _POSITION_STALE_S: Final = 5.0
+_BATTERY_STALE_S: Final = 30.0
+"""A charge that SYS_STATUS has not told again for so long is unknown. Slow links tell it every few seconds."""
 _UNKNOWN_HEADING: Final = 65535
 
 
@@ -54,6 +56,7 @@ class MavsdkVehicle:
         self._own_mode = ""
         self._heartbeats = 0
         self._battery_frac = math.nan
+        self._battery_s = -math.inf
         self._position = (math.nan,) * 5
         self._position_s = -math.inf
         self._gps_ok = False
@@ -66,7 +69,8 @@ class MavsdkVehicle:
     def status(self) -> VehicleStatus:
         """See `Vehicle.status`."""
         latitude_deg, longitude_deg, altitude_m, relative_altitude_m, heading_deg = self._position
-        fresh = time.monotonic() - self._position_s < _POSITION_STALE_S
+        now = time.monotonic()
+        fresh = now - self._position_s < _POSITION_STALE_S
         trusted = self._gps_ok if self._health.estimator_ok is None else self._health.estimator_ok
         heartbeats = self._heartbeats  # before the mode, which may be newer then, but not older
         return VehicleStatus(
@@ -80,7 +84,7 @@ class MavsdkVehicle:
             longitude_deg=longitude_deg,
             altitude_m=altitude_m,
             relative_altitude_m=relative_altitude_m,
-            battery_frac=self._battery_frac,
+            battery_frac=self._battery_frac if now - self._battery_s < _BATTERY_STALE_S else math.nan,
             position_ok=trusted and fresh,
             position_doubts=self._health.doubts,
             boot_count=self._link.boot_count,
@@ -199,6 +203,7 @@ class MavsdkVehicle:
         fields = message.fields
         remaining = int(fields["battery_remaining"])
         self._battery_frac = remaining / 100.0 if remaining >= 0 else math.nan
+        self._battery_s = time.monotonic()
         present, enabled, health = (
             int(fields[f"onboard_control_sensors_{kind}"]) for kind in ("present", "enabled", "health")
         )

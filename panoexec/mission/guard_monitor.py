@@ -6,6 +6,7 @@ import asyncio
 import math
 from dataclasses import dataclass
 
+from panoexec.devices import VehicleStatus
 from panoexec.errors import DeviceError
 from panoexec.mission.context import MissionContext
 from panoexec.mission.guards import Finding, GimbalControl, Guard, Situation, reasons
@@ -60,6 +61,7 @@ class GuardMonitor:
         self._north_told = False
         self._strangers_told: set[int] = set()
         self._boots = context.vehicle.status.boot_count
+        self._charge_told = False
         self._loss: _Loss | None = None
 
     async def watch(self) -> None:
@@ -81,6 +83,7 @@ class GuardMonitor:
         context.gimbal.feed.ingest()
         self._look_at_north()
         self._look_at_strangers()
+        self._look_at_charge(status)
         sample = context.gimbal.feed.latest
         situation = Situation(
             now_s=now,
@@ -146,6 +149,17 @@ class GuardMonitor:
                 f"component {component} tells attitudes, but the gimbal is component {known.device}: they are ignored"
             )
             self._context.recorder.emit(ev.Warned(code="stranger", text=text))
+
+    def _look_at_charge(self, status: VehicleStatus) -> None:
+        """Tell when the charge, which the floor is compared with, is no longer known."""
+        floor_frac = self._context.settings.guards.battery_floor_frac
+        if not math.isnan(status.battery_frac):
+            self._charge_told = True
+        elif self._charge_told and status.connected and floor_frac > 0:
+            self._charge_told = False
+            floor = f"the floor of {100 * floor_frac:.0f} % is not watched"
+            text = f"the autopilot no longer tells the battery's charge: {floor}"
+            self._context.recorder.emit(ev.Warned(code="battery_unknown", text=text))
 
     async def hold(self) -> None:
         """Hold until no hold is left (the mission is then capturing) or shooting must end."""

@@ -56,6 +56,7 @@ _WARNING_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
         "stranger": "a second gimbal attitude is ignored",
         "open_loop": "no gimbal feedback, poses unverified",
         "position": "moved since the first shots: parallax",
+        "battery_unknown": "battery charge no longer told",
         "battery_estimate": "battery too small for all shots",
         "parallax": "drift: expect parallax at seams",
         "untied": "some photos stay untied",

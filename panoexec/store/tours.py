@@ -129,7 +129,7 @@ def read_tour(path: Path) -> Tour:
         document: Any = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputFileError(str(path), [f"cannot be read: {error.strerror}"]) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputFileError(str(path), [f"is not JSON: {error}"]) from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise InputFileError(str(path), [f"is not a tour: its format must be {FORMAT}"])
@@ -146,7 +146,7 @@ def read_tour(path: Path) -> Tour:
             ended=bool(document["ended"]),
             stops=stops,
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputFileError(str(path), [f"is not a whole tour: {type(error).__name__}: {error}"]) from error
 
 

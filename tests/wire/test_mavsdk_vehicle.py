@@ -7,6 +7,7 @@ import math
 
 import pytest
 
+from panoexec.adapters import mavsdk_vehicle
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.adapters.mavsdk_vehicle import MavsdkVehicle
 from panoexec.clock import SystemClock
@@ -57,6 +58,20 @@ async def test_the_status_is_what_the_vehicle_says(autopilot: ScriptedPeer, link
         assert status.boot_count == 0
         autopilot.custom_mode, autopilot.armed = 0, False
         await eventually(lambda: vehicle.status.mode == "STABILIZED" and not vehicle.status.armed)
+
+
+async def test_a_charge_that_is_not_told_again_is_unknown(
+    autopilot: ScriptedPeer, link: MavsdkLink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with MavsdkVehicle(link) as vehicle:
+        autopilot.send(sys_status(battery=50))
+        await eventually(lambda: vehicle.status.battery_frac == 0.5)
+        assert mavsdk_vehicle._BATTERY_STALE_S == 30.0
+        monkeypatch.setattr(mavsdk_vehicle, "_BATTERY_STALE_S", 0.0)
+        assert math.isnan(vehicle.status.battery_frac)
+        monkeypatch.undo()
+        autopilot.send(sys_status(battery=49))
+        await eventually(lambda: vehicle.status.battery_frac == 0.49)
 
 
 async def test_nothing_is_made_up(autopilot: ScriptedPeer, link: MavsdkLink) -> None:

@@ -83,6 +83,8 @@ class Stations:
         self._planning: asyncio.Task[None] | None = None
         self._done_at = -1
         """Number of the waypoint that is current and where nothing is left to be done; -1 for none."""
+        self._told_at = -1
+        """Number of the waypoint of which the pilot was told why there is no panorama; -1 for none."""
         self._read_s = -math.inf
         self._asked = 0
         self._shot_s = self._shot_all_s = math.nan
@@ -130,11 +132,15 @@ class Stations:
         while True:
             try:
                 await self._look()
-                trouble = ""
+                trouble = trouble if self._told_at >= 0 else ""
             except (PanoexecError, OSError) as error:
                 if str(error) != trouble:
                     trouble = str(error)
                     _log.warning("stations", error=trouble)
+            except Exception as error:  # noqa: BLE001  (a bug at a station must not end the daemon)
+                if repr(error) != trouble:
+                    trouble = repr(error)
+                    _log.exception("stations: internal error")
             await self._clock.sleep(TICK_S if math.isnan(self._arrival.since_s) else _SOON_S)
 
     async def _look(self) -> None:
@@ -165,7 +171,7 @@ class Stations:
         if self._arrival.there(station, status, now, radius_m=self._config().stations.radius_m):
             since_s = self._arrival.since_s
             self._arrival.forget()
-            await self._stay(station, mission, since_s)
+            await self._arrive(station, mission, since_s)
 
     async def _read(self, mission: AutopilotMission) -> None:
         changed = await mission.read()
@@ -203,6 +209,17 @@ class Stations:
             self._changed()
 
     # --- a stay
+
+    async def _arrive(self, station: Station, mission: AutopilotMission, since_s: float) -> None:
+        """Stay; an error is told to the pilot once. It is tried again until the hold time is over."""
+        try:
+            await self._stay(station, mission, since_s)
+        except Exception as error:
+            if self._told_at != station.waypoint:
+                self._told_at = station.waypoint
+                await self._say(f"waypoint {station.waypoint}: no panorama: {str(error) or type(error).__name__}")
+            raise
+        self._told_at = -1
 
     async def _stay(self, station: Station, mission: AutopilotMission, since_s: float) -> None:
         """From the arrival until the mission goes on."""

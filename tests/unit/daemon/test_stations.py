@@ -269,6 +269,30 @@ async def test_a_mission_that_cannot_be_read_is_not_asked_for_all_the_time(tmp_p
     assert flown.said == []
 
 
+async def test_a_tour_that_cannot_be_written_is_told_once_and_the_hold_time_passes(tmp_path: Path) -> None:
+    (tmp_path / "tours").write_text("not a folder")
+    flown = await world(tmp_path).run(120)
+    said = [text for text in flown.said if "no panorama" in text]
+    assert [text.partition(" no panorama: ")[0] for text in said] == ["waypoint 1:", "waypoint 3:"]
+    assert all("tours" in text for text in said)
+    assert flown.seq == 5
+    assert not flown.told("start")
+
+
+async def test_a_bug_at_a_station_ends_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    flown = world(tmp_path)
+
+    async def broken(*_: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(flown.watcher._tour, "of_mission", broken)
+    await flown.run(20)
+    assert [text for text in flown.said if "no panorama" in text] == ["waypoint 1: no panorama: ZeroDivisionError"]
+    monkeypatch.undo()
+    await flown.run(100)
+    assert flown.outcomes[0] == (1, "complete")
+
+
 async def test_it_is_off_by_default(tmp_path: Path) -> None:
     flown = world(tmp_path, config={"stations": {}})
     await flown.watcher.run()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from panoexec.mission.executor import Mission
@@ -132,6 +134,22 @@ class TestFaults:
 
         world = fly(script)
         assert world.record.state is S.FAILED  # nobody resumed it
+
+    def test_a_charge_that_is_no_longer_told_is_a_warning_each_time(self) -> None:
+        async def script(world: World, mission: Mission) -> None:
+            for charge_frac in (math.nan, 0.8, math.nan):
+                await world.clock.sleep(1.0)
+                world.vehicle.change(battery_frac=charge_frac)
+
+        world = fly(script)
+        assert world.record.state is S.COMPLETE
+        assert [event.code for event in world.sink.of(ev.Warned)] == ["battery_unknown"] * 2
+        assert "the floor of 25 % is not watched" in world.sink.of(ev.Warned)[0].text
+
+    def test_a_charge_that_was_never_told_is_none(self) -> None:
+        world = fly(prepare=lambda world: world.vehicle.change(battery_frac=math.nan))
+        assert world.record.state is S.COMPLETE
+        assert not world.sink.of(ev.Warned)
 
     def test_a_drift_of_position_holds_until_it_is_back_with_hysteresis(self) -> None:
         async def script(world: World, mission: Mission) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,8 @@ def test_ids_are_free_ones(tmp_path: Path) -> None:
         lambda text: text.replace('"latitude_deg": 47.4', '"latitude_deg": null'),
         lambda text: text.replace('"mission_id": null', '"mission_id": "../../etc"'),
         lambda text: text.replace('"tour_id": "tour-', '"tour_id": "../tour-'),
+        lambda text: re.sub(r'("waypoints": \[\s*)\d+', r"\g<1>1e999", text),
+        lambda text: "[" * 100_000,
     ],
 )
 def test_a_damaged_one_is_refused_by_name_and_passed_over(tmp_path: Path, damage: Any) -> None:
