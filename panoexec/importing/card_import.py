@@ -128,7 +128,7 @@ async def _store(plan: CardImport, how: How, told: Callable[[str], None]) -> int
     with closing(landed):
         for item, photo in plan.pairing.of_mission:
             try:
-                await landed.photos.store(
+                stored = await landed.photos.store(
                     photo.path,
                     raw=photo.raw,
                     shot=item.shot,
@@ -146,13 +146,17 @@ async def _store(plan: CardImport, how: How, told: Callable[[str], None]) -> int
             await landed.flush()
             count += 1
             if how == "move":
-                for path in (photo.path, photo.raw):
-                    with contextlib.suppress(
-                        OSError
-                    ):  # a card that is write-protected: the photo is safe in both places
-                        if path is not None:
-                            path.unlink()
+                _remove(photo.path, plan.directory.path / stored.file)
+                if photo.raw is not None and stored.raw:
+                    _remove(photo.raw, plan.directory.path / stored.raw)
     return count
+
+
+def _remove(path: Path, stored: Path) -> None:
+    """Remove a file from the card, unless it is the stored one itself: the photos were copied into the mission."""
+    with contextlib.suppress(OSError):  # a card that is write-protected: the photo is safe in both places
+        if not path.samefile(stored):
+            path.unlink()
 
 
 def _others(directory: MissionDirectory) -> list[Expected]:

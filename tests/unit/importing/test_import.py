@@ -104,6 +104,27 @@ def test_raw_files_come_along_and_the_card_is_left_as_asked(tmp_path: Path, how:
     assert bool([path for path in card.rglob("*") if path.is_file()]) is (how != "move")
 
 
+@pytest.mark.parametrize("linked", [False, True])
+def test_a_card_that_was_copied_into_the_mission_is_not_removed_from_it(tmp_path: Path, linked: bool) -> None:
+    taken = take(20, seed=3)
+    directory = a_mission(tmp_path, taken)
+    names = _fill(tmp_path / "sd", taken, off_s=3600.0, raw=True)
+    directory.images.mkdir(exist_ok=True)
+    for path in [path for path in (tmp_path / "sd").rglob("*") if path.is_file()]:
+        path.rename(directory.images / path.name)
+    card = directory.images
+    if linked:
+        card = tmp_path / "card"
+        card.mkdir()
+        for path in directory.images.iterdir():
+            (card / path.name).symlink_to(path)
+    before = {path.name: path.read_bytes() for path in directory.images.iterdir()}
+    assert carry_out(plan_import(directory, card), how="move") == len(names)
+    assert {path.name: path.read_bytes() for path in directory.images.iterdir()} == before
+    assert carry_out(plan_import(directory, directory.path), how="move") == len(names), "again"
+    assert {path.name: path.read_bytes() for path in directory.images.iterdir()} == before
+
+
 def test_two_missions_on_one_card_even_of_the_same_plan(tmp_path: Path) -> None:
     one = take(30, seed=5)
     again = take(
