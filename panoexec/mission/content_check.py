@@ -140,6 +140,7 @@ class ContentCheck:
         """Judge all photos; conclude if nothing was queued because of it."""
         queue = self._context.queue
         while True:
+            await self._forget_revoked(checker)
             verdicts = await checker.judge(final=True)
             again = await self._apply(verdicts, checker, final=True)
             if not again and self._may_retake(verdicts.bad, len(verdicts.photos)):
@@ -160,6 +161,7 @@ class ContentCheck:
     async def _examine_next(self, checker: PictureChecker) -> bool:
         """Examine the newest photo whose file is here; False if there is none."""
         await self._tell_plan(checker)
+        await self._forget_revoked(checker)
         refused = self._source.refused() if self._source is not None else {}
         shots = sorted(self._context.record.shots.values(), key=_newest_first)
         for record in shots:
@@ -167,6 +169,7 @@ class ContentCheck:
             if attempt is None or self._attempt_of.get(record.shot.index) == attempt.number:
                 continue
             shot = record.shot.index
+            self._attempt_of.pop(shot, None)  # nobody drops the new photo for the old attempt
             q_wxyz, time_s = _pose(record, attempt)
             if (why := refused.get((shot, attempt.number))) is not None:
                 code = Content.CONTRADICTS if "is the photo of shot" in why else Content.UNREADABLE
@@ -180,6 +183,19 @@ class ContentCheck:
             await self._apply(verdicts, checker, final=False)
             return True
         return False
+
+    async def _forget_revoked(self, checker: PictureChecker) -> None:
+        """Photos that were taken back for another reason (late evidence) are no evidence about their neighbours."""
+        shots = self._context.record.shots
+        stale = [
+            shot
+            for shot, number in self._attempt_of.items()
+            if (accepted := shots[shot].accepted) is None or accepted.number != number
+        ]
+        for shot in stale:
+            del self._attempt_of[shot]
+        if stale:
+            await checker.drop(stale)
 
     def _heights_from_start(self, record: ShotRecord, attempt: AttemptRecord) -> list[float] | None:
         """Where a photo was taken from the mission's origin, plan frame, heights above the ground; None if unknown."""

@@ -231,6 +231,23 @@ async def test_a_warning_takes_nothing_back_but_the_photo_does_not_count(tmp_pat
     assert mission.record.content.bad == (0,)
 
 
+async def test_a_photo_that_late_evidence_took_back_says_nothing_of_its_neighbours(tmp_path: Path) -> None:
+    mission = Mission(tmp_path)
+    for shot in range(6):
+        mission.accept(shot)
+    mission.checker.edges = ((2, 3, 9),)
+    await mission.checked()
+    assert mission.checker.added
+    mission.emit(ev.ShotRevoked(shot=2, attempt=1, code="late", reason="exposed while the gimbal moved", photos=()))
+    await mission.checked()
+    assert sorted(mission.checker.added) == [0, 1, 3, 4, 5]
+    mission.accept(2)
+    await mission.checked()
+    assert sorted(mission.checker.added) == [0, 1, 2, 3, 4, 5]
+    assert mission.record.content is not None
+    assert not mission.record.content.unchecked
+
+
 async def test_a_shot_is_not_taken_again_for_ever(tmp_path: Path) -> None:
     mission = Mission(tmp_path)
     mission.checker.bad[0] = Content.UNTIED
