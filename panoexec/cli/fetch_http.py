@@ -292,7 +292,8 @@ def _unpack(part: Path, mission: str, folder: Path) -> None:
             _room(part, sum(one.file_size for one in entries))
             for one in entries:
                 _write(archive, one, folder / one.filename)
-    except (zipfile.BadZipFile, NotImplementedError, EOFError, TransferError) as error:
+    # RuntimeError: encrypted; ValueError: names that are not text, impossible offsets
+    except (zipfile.BadZipFile, RuntimeError, ValueError, EOFError, TransferError) as error:
         _tag_of(part).unlink(missing_ok=True)
         part.unlink(missing_ok=True)
         if isinstance(error, TransferError):

@@ -53,6 +53,14 @@ def archive(*entries: tuple[str, bytes], compression: int = zipfile.ZIP_STORED) 
     return out.getvalue()
 
 
+def encrypted(content: bytes) -> bytes:
+    """The archive of one file, flagged as encrypted in both of its headers."""
+    out = bytearray(content)
+    out[6] |= 1
+    out[content.index(b"PK\x01\x02") + 8] |= 1
+    return bytes(out)
+
+
 class Server:
     """A page that serves one archive, as a test wants.
 
@@ -227,6 +235,8 @@ ZIP = {"Content-Type": "application/zip"}
         ((200, ZIP, archive((f"{ID}/.ssh/evil", b"x"))), 3, "which is no file of a mission"),
         ((200, ZIP, archive(("20200101T000000.000Z/evil", b"x"))), 3, "which is no file of a mission"),
         ((200, ZIP, archive((f"{ID}/a", bytes(9999)), compression=zipfile.ZIP_DEFLATED)), 3, "is compressed"),
+        ((200, ZIP, encrypted(archive((f"{ID}/a", b"x")))), 3, "the archive is damaged"),
+        ((200, ZIP, archive((f"{ID}/ä", b"x")).replace("ä".encode(), b"\xff\xff")), 3, "the archive is damaged"),
         ((206, ZIP | {"Content-Range": "bytes 7-8/9"}, b"xx"), 3, "does not tell its size"),
     ],
 )
