@@ -2,7 +2,8 @@
 
 **The class of plans.** Rows of one pitch each, roll 0, numbered by ascending pitch. Each row is closed: three or more
 images all round, at any phase and any spacing. Only the lowest and the highest row may be a *cap* of one or two images
-that see the pole. The band is a full circle, without masks and skyline; both overlaps are above 0.
+that see the pole; one such image may be all. The band is a full circle, without masks and skyline; both overlaps are
+above 0.
 
 **Images in a row.** n images all round have two neighbours that are at least 360°/n apart, and by C2 these overlap by
 `overlap_h`. Let d(p) be the widest yaw difference at which two images of pitch p overlap so much: n ≥ 360°/d(p).
@@ -87,6 +88,8 @@ def least_images_in_rows(camera: Camera, constraints: Constraints) -> int | None
         # a cap of two images in place of a row
         top = ends & capped & (pitch > 0)
         images = np.where(top, np.minimum(images, 2), images)
+    if np.any(begins & ends & capped):
+        return 1  # one image about a pole may show all of the band
     least = _shortest(first, images, last, reach)
     return None if not math.isfinite(least) else int(least)
 

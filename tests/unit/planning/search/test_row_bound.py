@@ -114,6 +114,14 @@ def test_lowest_and_highest_elevations_are_those_of_the_border() -> None:
             assert (elevation >= above - 0.5).mean() >= 0.25 - 0.02
 
 
+@pytest.mark.parametrize("ends", [(-90.0, -80.0), (80.0, 90.0)])
+def test_one_image_about_a_pole_may_be_all(ends: tuple[float, float]) -> None:
+    camera, constraints = Camera.from_fov(54.0, 39.8), asked(0.3, *ends)
+    pole = rotation([0.0], [ends[0] if ends[0] < 0 else ends[1]])
+    assert certify_poses(camera, constraints, pole, [0]).certified
+    assert least_images_in_rows(camera, constraints) == 1
+
+
 def test_it_does_not_apply_where_its_class_ends() -> None:
     camera, sphere = Camera.from_fov(54.0, 39.8), asked(0.3, -90, 90)
     mask = AngleBox(elevation_min_deg=0, elevation_max_deg=10, azimuth_min_deg=0, azimuth_max_deg=20)
