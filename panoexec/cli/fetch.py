@@ -1,8 +1,9 @@
 """Bring a mission here: by rsync over ssh, from the operator's page, or from a folder; without MISSION the newest one.
 
 By rsync and from a folder, files that are here already are not copied again. An interrupted transfer goes on, by the
-operator's page (`panoexec web`) too. Every photo that the manifest gives a SHA-256 is verified afterwards. On the drone
-the user of the ssh connection must be a member of the group panoexec (`adduser USER panoexec`).
+operator's page (`panoexec web`) too. A copy that has more than the mission there, because a card was imported into it
+for example, is left as it is (exit code 2). Every photo that the manifest gives a SHA-256 is verified afterwards. On
+the drone the user of the ssh connection must be a member of the group panoexec (`adduser USER panoexec`).
 
 Exit code 1: photos are missing or differ from the manifest. 2: no such mission or storage. 3: rsync is missing or
 fails, or the page does not answer.
@@ -23,14 +24,17 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from panoexec.cli.fetch_http import Page, password_of
 from panoexec.cli.output import note, print_json
 from panoexec.errors import DeviceError, PanoexecError, UsageError
 from panoexec.files import write_atomically_with
 from panoexec.inputs.service_sections import StorageSection
+from panoexec.store.catalogue import check_copy_goes_no_further
 from panoexec.store.directory import MissionDirectory
 from panoexec.store.manifest import read_manifest
 from panoexec.store.photo_store import hash_file
@@ -96,6 +100,7 @@ def _from_storage(args: argparse.Namespace) -> Path:
     remote = "" if folder is not None else _missions_of(args.source)
     name = args.mission or _newest(_names(folder, remote), f"--from {args.source}")
     target = Path(args.to) / name
+    _check_copy(f"{remote}/{name}", folder and folder / name, MissionDirectory(target).journal)
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -106,6 +111,18 @@ def _from_storage(args: argparse.Namespace) -> Path:
         # hidden: parts of photos and temporary files, which are being written there
         _rsync("--archive", "--partial", "--exclude=.*", f"{remote}/{name}/", f"{target}/")
     return target
+
+
+def _check_copy(remote: str, folder: Path | None, copy: Path) -> None:
+    """Raise if the copy that is here already has more than the mission there."""
+    if not copy.exists():
+        return
+    if folder is not None:
+        check_copy_goes_no_further(copy, folder / copy.name)
+        return
+    with tempfile.TemporaryDirectory(prefix="panoexec-") as place:
+        _rsync("--archive", f"{remote}/{copy.name}", f"{place}/")
+        check_copy_goes_no_further(copy, Path(place) / copy.name)
 
 
 def _missions_of(source: str) -> str:
@@ -163,21 +180,29 @@ def _rsync(*arguments: str) -> str:
 
 
 def _problems(directory: MissionDirectory) -> tuple[list[str], int]:
-    """Photos that are missing or are not those of the manifest, a line each; and the number of those that are."""
+    """Photos that are missing or are not those of the manifest, a line each; and the number of those that are.
+
+    Of a bracket every photo counts.
+    """
     try:
         manifest = read_manifest(directory.manifest)
     except PanoexecError as error:
         return [str(error)], 0
     out, verified = [], 0
     for shot in manifest["shots"]:
-        file, digest = shot.get("file"), shot.get("sha256")
-        if shot.get("accepted_attempt") is None or not file or not digest:
+        number = shot.get("accepted_attempt")
+        if number is None:
             continue
-        try:
-            is_same = hash_file(directory.path / file)[1] == digest
-        except OSError:
-            out.append(f"shot {shot['index']}: {file} is missing")
-        else:
+        attempt: dict[str, Any] = next((one for one in shot.get("attempts", ()) if one["number"] == number), {})
+        photos = {(one.get("file"), one.get("sha256")): None for one in (shot, *attempt.get("photos", ()))}
+        for file, digest in photos:
+            if not file or not digest:
+                continue
+            try:
+                is_same = hash_file(directory.path / file)[1] == digest
+            except OSError:
+                out.append(f"shot {shot['index']}: {file} is missing")
+                continue
             verified += is_same
             if not is_same:
                 out.append(f"shot {shot['index']}: {file} is not the photo of the manifest")

@@ -24,6 +24,8 @@ from typing import IO, Final
 
 from panoexec.errors import DeviceError, UsageError
 from panoexec.files import to_disk, write_atomically_with
+from panoexec.store.catalogue import check_copy_goes_no_further
+from panoexec.store.directory import MissionDirectory
 
 _TIMEOUT_S: Final = 20.0
 _CHUNK: Final = 1 << 18
@@ -280,16 +282,18 @@ def _room(part: Path, missing: int) -> None:
 
 
 def _unpack(part: Path, mission: str, folder: Path) -> None:
-    """Unpack an archive; each file appears whole, and those that are here already stay.
+    """Unpack an archive; each file appears whole, and those that are not in it stay.
 
     Raises:
         TransferError: it is no archive of that mission. It is removed, so that the next one begins anew.
+        UsageError: the mission that is here already has more than the archive.
     """
     try:
         with zipfile.ZipFile(part) as archive:
             entries = archive.infolist()
             _check_entries(entries, mission, part.stat().st_size)
             _room(part, sum(one.file_size for one in entries))
+            _check_copy(archive, part, folder / mission)
             for one in entries:
                 _write(archive, one, folder / one.filename)
     # RuntimeError: encrypted; ValueError: names that are not text, impossible offsets
@@ -299,6 +303,19 @@ def _unpack(part: Path, mission: str, folder: Path) -> None:
         if isinstance(error, TransferError):
             raise
         raise TransferError(f"{mission}: the archive is damaged ({error}); fetch it again") from error
+
+
+def _check_copy(archive: zipfile.ZipFile, part: Path, copy: Path) -> None:
+    """Raise if the copy that is here already has more than the archive."""
+    name = f"{copy.name}/{MissionDirectory(copy).journal.name}"
+    if not MissionDirectory(copy).journal.exists() or name not in archive.namelist():
+        return
+    there = part.with_suffix(".journal")
+    try:
+        _write(archive, archive.getinfo(name), there)
+        check_copy_goes_no_further(MissionDirectory(copy).journal, there)
+    finally:
+        there.unlink(missing_ok=True)
 
 
 def _check_entries(entries: Sequence[zipfile.ZipInfo], mission: str, size: int) -> None:

@@ -11,6 +11,7 @@ import sqlite3
 from dataclasses import dataclass
 from pathlib import Path
 
+from panoexec.errors import UsageError
 from panoexec.mission.log.states import MissionState
 from panoexec.store import journal_layout as layout
 from panoexec.store.directory import MissionDirectory, mission_directories
@@ -68,6 +69,27 @@ def glance(path: Path) -> Glance:
             return Glance(number=int(head.get(layout.NUMBER, 0)), events=events, state=state)
     except (sqlite3.Error, ValueError, TypeError, KeyError) as error:
         raise DamagedJournalError(f"{path}: damaged ({str(error)[:200]}); the file was not changed") from error
+
+
+def check_copy_goes_no_further(copy: Path, original: Path) -> None:
+    """Keep a copy of a mission from being replaced by an original that knows less than it.
+
+    Args:
+        copy: journal of the copy; need not exist.
+        original: journal that is to take its place.
+
+    Raises:
+        UsageError: the copy has events that the original does not have, those of a card's photos for example.
+    """
+    try:
+        here, there = glance(copy).events, glance(original).events
+    except JournalFileError:
+        return  # there is none, or one of them says nothing
+    if here > there:
+        raise UsageError(
+            f"{copy.parent} has {here - there} events more than the mission there (a card imported here, for example):"
+            " it is left as it is; choose another folder for a second copy"
+        )
 
 
 def catalogue(storage: Path) -> list[StoredJournal]:

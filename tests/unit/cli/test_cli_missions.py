@@ -9,10 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from panoexec.cli import fetch
 from panoexec.cli.app import run
 from panoexec.importing.card_import import carry_out, plan_import
 from panoexec.report.mission_outputs import restore_outputs
 from panoexec.store.directory import MissionDirectory
+from panoexec.store.photo_store import hash_file
 from tests.unit.importing.cards import a_mission, take, write_photo
 
 
@@ -111,6 +113,47 @@ def test_a_mission_comes_by_rsync_from_another_computer(
 def test_what_makes_no_sense_is_named(arguments: list[str], problem: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["fetch", *arguments]) == 2
     assert problem in capsys.readouterr().err
+
+
+def test_a_copy_into_which_a_card_was_imported_is_not_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    taken, card, here = take(20, seed=1), tmp_path / "card", tmp_path / "here"
+    mission = a_mission(tmp_path / "drone", taken)
+    restore_outputs(mission)
+    for number, one in enumerate(taken):
+        write_photo(card / f"{number}.JPG", one.time_s, content=number)
+    storage = mission.path.parent.parent
+    assert run(["fetch", "--from", str(storage), "--to", str(here)]) == 0
+    copy = MissionDirectory(here / mission.mission_id)
+    carry_out(plan_import(copy, card), how="move")
+    journal = copy.journal.read_bytes()
+    shell = tmp_path / "ssh"  # the other computer is this one
+    shell.write_text('#!/bin/sh\n[ "$1" = -l ] && shift 2\nshift\nexec sh -c "$*"\n')
+    shell.chmod(0o755)
+    monkeypatch.setenv("RSYNC_RSH", str(shell))
+    sources = [str(storage), *([f"pi@drone.local:{storage}"] if shutil.which("rsync") else [])]
+    for source in sources:
+        capsys.readouterr()
+        assert run(["fetch", "--from", source, "--to", str(here)]) == 2
+        assert "more than the mission there" in capsys.readouterr().err
+        assert copy.journal.read_bytes() == journal
+    assert (copy.images / "19.JPG").exists()
+
+
+def test_every_photo_of_a_bracket_is_verified(
+    mission: MissionDirectory, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    digests = [hash_file(mission.images / f"{number}.JPG")[1] for number in range(3)]
+    photos = [{"file": f"images/{number}.JPG", "sha256": digest} for number, digest in enumerate(digests)]
+    attempts = [{"number": 1, "photos": photos[::-1]}, {"number": 2, "photos": photos}]
+    shot = {"index": 0, "accepted_attempt": 2, **photos[0], "attempts": attempts}
+    monkeypatch.setattr(fetch, "read_manifest", lambda _: {"shots": [shot]})
+    assert fetch._problems(mission) == ([], 3)
+    (mission.images / "1.JPG").unlink()
+    (mission.images / "2.JPG").write_bytes(b"another")
+    told = ["shot 0: images/1.JPG is missing", "shot 0: images/2.JPG is not the photo of the manifest"]
+    assert fetch._problems(mission) == (told, 1)
 
 
 def test_members_of_the_group_can_read_what_the_service_writes(tmp_path: Path) -> None:

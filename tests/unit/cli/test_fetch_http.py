@@ -195,6 +195,28 @@ def test_another_run_continues_unless_the_mission_has_changed(
     assert same(mission.path, here / name)
 
 
+def test_a_copy_that_has_more_than_the_page_is_left_as_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    taken, card, here = take(5, seed=1), tmp_path / "card", tmp_path / "here"
+    mission = a_mission(tmp_path / "drone", taken)
+    restore_outputs(mission)
+    for number, one in enumerate(taken):
+        write_photo(card / f"{number}.JPG", one.time_s, content=number)
+    fetch = ["fetch", mission.mission_id, "--to", str(here), "--url"]
+    with serving(mission.mission_id, archive_of(mission.path)) as page:
+        assert run([*fetch, page.url]) == 0
+        assert run([*fetch, page.url]) == 0, "the same again changes nothing"
+        copy = MissionDirectory(here / mission.mission_id)
+        carry_out(plan_import(copy, card), how="move")
+        journal = copy.journal.read_bytes()
+        capsys.readouterr()
+        assert run([*fetch, page.url]) == 2
+    assert "more than the mission there" in capsys.readouterr().err
+    assert copy.journal.read_bytes() == journal
+    assert len(list(copy.images.iterdir())) == 5
+
+
 def test_a_page_with_logins_gets_one(
     mission: MissionDirectory, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
