@@ -144,7 +144,8 @@ async def downloaded(browser: Browser, tmp_path: Path, images: int) -> dict[str,
     assert manifest["name"] == "Chapel <b>west</b>"
     assert manifest["state"] == "complete"
     assert len(manifest["shots"]) == images
-    assert len([one for one in manifest["shots"][0]["attempts"] if one["verdict"] == "accepted"]) == 2
+    # the repeated shot; a busy computer may have had the first of its photos taken back before
+    assert manifest["shots"][0]["accepted_attempt"] == len(manifest["shots"][0]["attempts"]) >= 2
     assert untruths(mission, tmp_path / "demo" / "photos" / "truth.jsonl") == []
     assert "<title>Chapel &lt;b&gt;west" in (mission / "report.html").read_text()
     frame = browser.value("document.querySelector('iframe.report').src")
