@@ -6,11 +6,13 @@ import asyncio
 import math
 import time
 from collections.abc import AsyncIterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from panoexec.adapters.camera import camera_reports
 from panoexec.adapters.camera.mavsdk_camera import MavsdkCamera
 from panoexec.adapters.link.file_urls import FileUrls
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
@@ -204,6 +206,28 @@ async def test_the_trigger_reaches_the_wire_at_once(eye: CameraPeer, camera: Mav
     assert sorted(delays)[20] < 0.025
     assert min(stamps) >= 0.0  # the exposure is not earlier than `commanded_s`
     assert sorted(stamps)[20] < 0.025
+
+
+async def test_the_clocks_stay_bounded_although_other_stamps_are_fresh(
+    eye: CameraPeer, camera: MavsdkCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """MAVSDK asks the camera all the time: such stamps are no answers to us, and prove no round trip."""
+    monkeypatch.setattr(camera_reports, "_BOUND_S", 0.05)
+    await camera._reports.relate()
+    known = camera._reports.stamps.trips
+    for number in range(5):
+        await asyncio.sleep(0.1)
+        eye.send(eye._information(), 100)
+        await asyncio.sleep(0.02)  # it is the newest stamp
+        taken = await camera.trigger()
+        found = await taken.evidence(CAPTURED, 3.0)
+        await eventually(partial(trips, camera, known + number + 1))
+    earliest_s, latest_s = found.opened_s
+    assert latest_s - earliest_s < 0.05
+
+
+def trips(camera: MavsdkCamera, enough: int) -> bool:
+    return camera._reports.stamps.trips >= enough
 
 
 async def test_reports_twice_late_and_lost_are_told_apart(eye: CameraPeer, camera: MavsdkCamera) -> None:

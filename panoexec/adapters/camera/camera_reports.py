@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import time
 from collections.abc import Callable
 from typing import Final
+
+import structlog
 
 from panoexec.adapters.camera.camera_clock import APART_S, ENOUGH_TRIPS, CameraClock
 from panoexec.adapters.camera.camera_pace import CameraPace
@@ -21,11 +24,16 @@ from panoexec.adapters.link.mavsdk_requests import REQUEST_MESSAGE
 from panoexec.adapters.link.message_hub import MavMessage
 from panoexec.adapters.link.stream_keeper import AUTOPILOT
 from panoexec.devices import EvidenceLevel
+from panoexec.errors import DeviceError
 
 _RELATED_S: Final = 0.5
 """Longest wait for an answer (real seconds) that relates the clocks."""
 _SYNCHRONISE_S: Final = 4.0
 """A stamp of the camera's clock that is older than this (mission seconds) is asked for anew at the next photo."""
+_BOUND_S: Final = 4.0
+"""So is an answer to such a request, after the next report: stamps that others asked for bound nothing."""
+
+_log = structlog.get_logger(__name__)
 
 
 class CameraReports:
@@ -62,6 +70,8 @@ class CameraReports:
         self._component = component
         self._last_index = -1
         self._synchronised_s = -math.inf
+        self._answered_s = -math.inf
+        self._bounding: asyncio.Task[None] | None = None
         self._asked_s = math.nan
 
     def subscribe(self) -> list[Callable[[], None]]:
@@ -91,6 +101,26 @@ class CameraReports:
         if target != AUTOPILOT and now_s - self._synchronised_s > _SYNCHRONISE_S:
             self._asked_s = now_s
             await self._link.requests.command(REQUEST_MESSAGE, [CAPTURE_STATUS], component=target)
+
+    def _bound(self) -> None:
+        """Ask for the clock anew, so that its bounds stay narrow; after a report, when the count is no news."""
+        if not self.stamps.trips or (self._bounding is not None and not self._bounding.done()):
+            return  # nothing is bounded, or it is asked for
+        if self.target != AUTOPILOT and self._link.clock.monotonic() - self._answered_s > _BOUND_S:
+            self._bounding = asyncio.create_task(self._ask_clock(), name="camera clock")
+
+    async def _ask_clock(self) -> None:
+        self._asked_s = self._link.clock.monotonic()
+        try:
+            await self._link.requests.command(REQUEST_MESSAGE, [CAPTURE_STATUS], component=self.target)
+        except DeviceError as error:
+            _log.debug("camera clock request failed", error=str(error))
+
+    async def close(self) -> None:
+        """Ask no more."""
+        if self._bounding is not None:
+            self._bounding.cancel()
+            await asyncio.gather(self._bounding, return_exceptions=True)
 
     async def relate(self) -> None:
         """Relate the camera's clock to the mission's by as many requests as are needed; before its first photo."""
@@ -159,6 +189,8 @@ class CameraReports:
     def _take_answer(self, stamp_s: float, received_s: float) -> None:
         """Take a message that was requested, or one of its kind that came by itself meanwhile."""
         asked_s, self._asked_s = self._asked_s, math.nan
+        if not math.isnan(asked_s):
+            self._answered_s = received_s
         self._take_stamp(stamp_s, received_s, asked_s=asked_s)
 
     def _take_stamp(self, stamp_s: float, received_s: float, *, asked_s: float = math.nan) -> None:
@@ -176,6 +208,7 @@ class CameraReports:
         self._last_index = max(self._last_index, report.index)
         if not self.recalling:  # messages sent on request are no new photos
             self.matcher.report(report)
+            self._bound()
 
     def _report_feedback(self, message: MavMessage) -> None:
         if self.recalling:

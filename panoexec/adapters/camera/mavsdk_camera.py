@@ -136,6 +136,7 @@ class MavsdkCamera:
     ) -> None:
         """Unsubscribe."""
         await self._lock.close()
+        await self._reports.close()
         for off in self._off:
             off()
 
