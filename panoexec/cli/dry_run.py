@@ -17,6 +17,7 @@ import asyncio
 import importlib.util
 import os
 import signal
+import tempfile
 from collections.abc import Callable, Coroutine
 from dataclasses import replace
 from pathlib import Path
@@ -223,9 +224,8 @@ def _check_storage(path: Path) -> None:
     existing = next(parent for parent in (path.absolute(), *path.absolute().parents) if parent.exists())
     if not existing.is_dir():
         raise UsageError(f"--output {path}: {existing} is not a folder")
-    probe = existing / ".panoexec-probe"
     try:
-        probe.touch()
-        probe.unlink()
+        with tempfile.TemporaryFile(dir=existing, prefix=".panoexec-"):  # its name is its own: two may look at once
+            pass
     except OSError as error:
         raise UsageError(f"--output {path}: cannot be written ({error.strerror}): give a writable folder") from error
