@@ -148,6 +148,8 @@ async def downloaded(browser: Browser, tmp_path: Path, images: int) -> dict[str,
     assert manifest["shots"][0]["accepted_attempt"] == len(manifest["shots"][0]["attempts"]) >= 2
     assert untruths(mission, tmp_path / "demo" / "photos" / "truth.jsonl") == []
     assert "<title>Chapel &lt;b&gt;west" in (mission / "report.html").read_text()
+    # complete is told before the report is written
+    browser.until("document.querySelector('iframe.report') !== null")
     frame = browser.value("document.querySelector('iframe.report').src")
     status = browser.value(f"fetch('{frame}').then((answer) => answer.text()).then((text) => text.length)")
     assert status == len((mission / "report.html").read_text())
