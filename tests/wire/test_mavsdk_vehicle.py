@@ -47,7 +47,7 @@ async def test_the_status_is_what_the_vehicle_says(autopilot: ScriptedPeer, link
         autopilot.send(sys_status())
         autopilot.send(ekf(17))
         autopilot.send(mavlink.MAVLink_extended_sys_state_message(0, 2))
-        await eventually(lambda: vehicle.status.mode and vehicle.status.position_ok and vehicle.status.in_air)
+        await eventually(lambda: vehicle.status.armed and vehicle.status.position_ok and vehicle.status.in_air)
         status = vehicle.status
         assert status.connected
         assert status.armed
