@@ -98,7 +98,11 @@ class Ground:
         await self._client.publish(f"{BASE}/request/{command}", payload, qos=1, retain=retain)
 
     async def until(self, condition: Callable[[], object], timeout_s: float = 120.0) -> None:
-        await eventually(condition, timeout_s)
+        try:
+            await eventually(condition, timeout_s)
+        except TimeoutError:
+            told = f"{self.status!r}, {self.state}, {self.types()[-5:]}"
+            raise AssertionError(f"not within {timeout_s:g} s; the last that the daemon told: {told}") from None
 
     def types(self) -> list[str]:
         return [event["type"] for event in self.events]

@@ -41,6 +41,8 @@ async def served_file(
         raise PhotoFileError(f"{url}: neither http nor MAVLink FTP", final=True)
     with tempfile.TemporaryDirectory(prefix="panoexec-served-", ignore_cleanup_errors=True) as folder:
         try:
+            if fetcher is http:
+                await http.start()
             path = await _brought(fetcher, url, Path(folder) / "part", timeout_s)
         finally:
             await http.close()

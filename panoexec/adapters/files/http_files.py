@@ -15,6 +15,8 @@ from panoexec.errors import PhotoFileError
 
 MAX_BYTES: Final = 256 * 1024 * 1024
 TIMEOUT_S: Final = 600.0
+_START_S: Final = 60.0
+"""For the process, which has low priority, to start; the time of a download begins afterwards."""
 _GRACE_S: Final = 5.0
 _EXIT_S: Final = 2.0
 
@@ -85,6 +87,15 @@ class HttpFiles:
             raise PhotoFileError(answer["error"], final=bool(answer["final"]))
         return part
 
+    async def start(self) -> None:
+        """Start the process, if none runs, so that this is not part of the first download.
+
+        Raises:
+            PhotoFileError: it does not start.
+        """
+        async with self._lock:
+            await self._started()
+
     async def close(self) -> None:
         """End the process; a later download starts another one."""
         process = self._process
@@ -107,7 +118,23 @@ class HttpFiles:
                 stdout=asyncio.subprocess.PIPE,
                 start_new_session=True,  # Ctrl-C is for the parent
             )
+            await self._until_it_listens(self._process)
         return self._process
+
+    async def _until_it_listens(self, process: asyncio.subprocess.Process) -> None:
+        assert process.stdout is not None
+        try:
+            async with asyncio.timeout(_START_S):
+                line = await process.stdout.readline()
+        except TimeoutError as error:
+            await self._killed()
+            raise PhotoFileError(f"the process that downloads did not start within {_START_S:g} s") from error
+        except asyncio.CancelledError:
+            await self._killed()
+            raise
+        if not line:
+            await self._killed()
+            raise PhotoFileError("the process that downloads ended as it started")
 
     async def _killed(self) -> None:
         process, self._process = self._process, None

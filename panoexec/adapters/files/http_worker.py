@@ -1,7 +1,8 @@
 """Downloads files by HTTP in a process of its own at low priority, so that it never delays the event loop's work.
 
-Reads one JSON object per line (a job: `url`, `part`, `hosts`, `max_bytes`, `timeout_s`, `documents`) and writes one per
-line (its result: `error`, "" for none, and `final`). Exits at the end of its standard input.
+Says in its first line that it listens. Then reads one JSON object per line (a job: `url`, `part`, `hosts`, `max_bytes`,
+`timeout_s`, `documents`) and writes one per line (its result: `error`, "" for none, and `final`). Exits at the end of
+its standard input.
 
 A download that was interrupted leaves its part and, beside it, what identifies the file's content (`ETag`, else
 `Last-Modified`); the next attempt continues there if the server still has that content.
@@ -141,6 +142,7 @@ async def _work() -> None:
     await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
     patience = aiohttp.ClientTimeout(total=None, sock_connect=_CONNECT_S, sock_read=_SILENT_S)
     async with aiohttp.ClientSession(timeout=patience, trust_env=False, auto_decompress=False) as session:
+        print(json.dumps({"listens": True}), flush=True)
         while line := await reader.readline():
             answer = {"error": "", "final": False}
             try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import random
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
@@ -129,6 +130,29 @@ async def test_an_answer_that_never_ends_does(tmp_path: Path) -> None:
     async with _server(answer) as url, _files(timeout_s=0.5) as files:
         with pytest.raises(PhotoFileError, match=r"not complete after 0\.5 s"):
             await files.fetch(url, tmp_path / "part")
+
+
+async def test_the_time_of_a_download_begins_when_its_process_listens(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slow = tmp_path / "slow"
+    slow.mkdir()
+    (slow / "sitecustomize.py").write_text("import time; time.sleep(1.5)")
+    monkeypatch.setenv("PYTHONPATH", f"{slow}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+    monkeypatch.setattr("panoexec.adapters.files.http_files._GRACE_S", 0.5)
+    (tmp_path / "1.jpg").write_bytes(DATA)
+    with serving_photos(tmp_path) as base:
+        async with _files(timeout_s=0.5) as files:
+            await files.fetch(f"{base}/1.jpg", tmp_path / "part")
+    assert (tmp_path / "part").read_bytes() == DATA
+
+
+async def test_a_process_that_does_not_start_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "sitecustomize.py").write_text("import os; os._exit(3)")
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+    async with _files() as files:
+        with pytest.raises(PhotoFileError, match="ended as it started"):
+            await files.fetch("http://127.0.0.1:9/1.jpg", tmp_path / "part")
 
 
 async def test_a_cancelled_download_ends_its_process_and_the_next_one_starts_another(tmp_path: Path) -> None:
