@@ -29,7 +29,11 @@ Certify = Callable[[Sequence[int]], Certificate]
 
 
 def certified_part(
-    whole: Certificate, rows: Sequence[int], constraints: Constraints, certify_some: Certify
+    whole: Certificate,
+    rows: Sequence[int],
+    constraints: Constraints,
+    certify_some: Certify,
+    go_on: Callable[[], bool] = lambda: True,
 ) -> Certificate | None:
     """The certificate of a part of the images that is certified, None if none is found.
 
@@ -38,6 +42,7 @@ def certified_part(
         rows: (n,) row number of each image.
         constraints: what the plan must satisfy.
         certify_some: certifies the images of these indices.
+        go_on: asked before each of these certificates; False ends the search.
 
     Returns:
         The certificate of the part, with `images` of the whole, and images named by their position in the whole.
@@ -50,7 +55,7 @@ def certified_part(
         for left_out in _suspects(judged, kept, rows):
             rest = [i for i in kept if i not in left_out]
             work += len(rest)
-            if not rest or work > _WORK:
+            if not rest or work > _WORK or not go_on():
                 return None
             found = _renamed(certify_some(rest), rest)
             if found.certified:

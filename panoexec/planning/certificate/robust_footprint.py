@@ -46,12 +46,14 @@ _THIN = 1e-5
 _SAME_DEG = 1e-9
 """Attitudes that agree to this angle share a core (1.7e-11 rad, far below the certificate's margin)."""
 
-
 _AT_A_TIME = 1 << 17
 """Pairs of a direction and a core processed at a time: limits the memory."""
 
 _REMEMBERED = 64
 """Up to this number of different attitudes, cores are taken from a cache."""
+
+_MOST_REMEMBERED = 4096
+"""Cores kept in it for a lens and a tolerance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,22 +134,34 @@ def robust_cores(camera: Camera, rotations: ArrayLike, tolerance: Tolerance) -> 
     unique, which = np.unique(attitudes, axis=0, return_inverse=True)
     pitch, roll = np.moveaxis(unique * _SAME_DEG, -1, 0)
     if len(unique) <= _REMEMBERED:
-        polygons, counts = _padded(
-            [_core_polygon(camera, float(p), float(r), tolerance) for p, r in zip(pitch, roll, strict=True)]
-        )
+        polygons, counts = _padded(_remembered(camera, pitch, roll, tolerance))
     else:
         polygons, counts = _core_polygons(camera, pitch, roll, tolerance)
     which = which.reshape(-1)
     return _on_sphere(polygons[which], counts[which], to_world)
 
 
-@lru_cache(maxsize=4096)
-def _core_polygon(camera: Camera, pitch_deg: float, roll_deg: float, tolerance: Tolerance) -> FloatArray:
-    """One core in its image plane, (v, 2); cached, as the search needs the same rows repeatedly."""
-    polygons, counts = _core_polygons(camera, np.array([pitch_deg]), np.array([roll_deg]), tolerance)
-    polygon = polygons[0, : counts[0]].copy()
-    polygon.setflags(write=False)
-    return polygon
+def _remembered(camera: Camera, pitch_deg: FloatArray, roll_deg: FloatArray, tolerance: Tolerance) -> list[FloatArray]:
+    """Cores in their image planes, (v, 2) each; remembered, as the search needs the same rows repeatedly."""
+    memory = _memory(camera, tolerance)
+    attitudes = list(zip(pitch_deg.tolist(), roll_deg.tolist(), strict=True))
+    known = {attitude: memory[attitude] for attitude in attitudes if attitude in memory}
+    unknown = [attitude for attitude in attitudes if attitude not in known]
+    if unknown:
+        pitch, roll = np.array(unknown).T
+        for attitude, polygon, count in zip(unknown, *_core_polygons(camera, pitch, roll, tolerance), strict=True):
+            known[attitude] = polygon[:count].copy()
+            known[attitude].setflags(write=False)
+        if len(memory) + len(unknown) > _MOST_REMEMBERED:
+            memory.clear()
+        memory.update((attitude, known[attitude]) for attitude in unknown)
+    return [known[attitude] for attitude in attitudes]
+
+
+@lru_cache(maxsize=16)
+def _memory(camera: Camera, tolerance: Tolerance) -> dict[tuple[float, float], FloatArray]:  # noqa: ARG001
+    """The cores of a lens and a tolerance that were computed so far, by pitch and roll."""
+    return {}
 
 
 def _padded(polygons: list[FloatArray]) -> tuple[FloatArray, NDArray[np.intp]]:

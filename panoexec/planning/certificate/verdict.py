@@ -56,10 +56,14 @@ _PAIRS_AT_A_TIME = 1 << 15
 IntArray = NDArray[np.intp]
 
 
-def certify(plan: Plan) -> Certificate:
+def certify(plan: Plan, *, go_on: Callable[[], bool] = lambda: True) -> Certificate:
     """Certify the shots of a plan for its camera and constraints; images are identified by `Shot.index`.
 
     Images beyond those of a part that is certified do not make a plan fail, see `extra_images`.
+
+    Args:
+        plan: the plan.
+        go_on: asked before each further verdict on a part of the images; the search for such a part ends with False.
     """
     poses, rows = plan.rotations(), [shot.row for shot in plan.shots]
     certificate = certify_poses(plan.camera, plan.constraints, poses, rows)
@@ -69,7 +73,7 @@ def certify(plan: Plan) -> Certificate:
             some = [rows[i] for i in which]
             return certify_poses(plan.camera, plan.constraints, poses[list(which)], some, explain=False)
 
-        certificate = certified_part(certificate, rows, plan.constraints, certify_some) or certificate
+        certificate = certified_part(certificate, rows, plan.constraints, certify_some, go_on) or certificate
     names = [shot.index for shot in plan.shots]
     if names == list(range(len(names))):
         return certificate

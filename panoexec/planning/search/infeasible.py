@@ -14,6 +14,7 @@ from panoexec.planning.certificate.adjacency import MUTUAL_OVERLAP
 from panoexec.planning.certificate.robust_footprint import robust_cores
 from panoexec.planning.geometry.domain import Domain
 from panoexec.planning.model import NO_TOLERANCE, Constraints, GimbalLimits, Tolerance
+from panoexec.planning.search.budget import BudgetSpentError, SearchBudget
 from panoexec.planning.search.row_constraints import Demands, RowConstraints
 from panoexec.planning.search.row_search import MORE_AT_LIMITS, searches
 from panoexec.planning.search.row_spacing import MOST_IN_A_ROW, NeighbourDemand
@@ -30,14 +31,16 @@ _WIDTH = 4
 """Beam width of searches that only test feasibility."""
 
 
-def infeasibility_error(camera: Camera, constraints: Constraints) -> PlanningError:
-    """The error that explains why no plan was found."""
+def infeasibility_error(camera: Camera, constraints: Constraints, budget: SearchBudget | None = None) -> PlanningError:
+    """The error that explains why no plan was found.
+
+    Args:
+        camera: the camera.
+        constraints: the request.
+        budget: if it ends the analysis, the error says so, and gives the reason as far as it is known.
+    """
     return PlanningError(
-        empty_cores(camera, constraints)
-        or _gimbal(camera, constraints)
-        or _overlap(camera, constraints)
-        or _tolerance(camera, constraints)
-        or "no set of rows covers the band: ask for a smaller tolerance or a smaller band"
+        empty_cores(camera, constraints) or _Analysis(camera, budget or SearchBudget()).of(constraints)
     )
 
 
@@ -87,19 +90,101 @@ def empty_cores(camera: Camera, constraints: Constraints) -> str | None:
     )
 
 
-def _gimbal(camera: Camera, constraints: Constraints) -> str | None:
-    gimbal = constraints.gimbal
-    if gimbal is None or not _feasible(camera, replace(constraints, gimbal=None)):
-        return None
-    all_round = replace(constraints, gimbal=replace(gimbal, yaw_min_deg=-180.0, yaw_max_deg=180.0))
-    if not _feasible(camera, all_round):
-        return _pitch_limits(camera, all_round, gimbal)
-    return _pan_limits(camera, constraints, gimbal)
+class _Analysis:
+    """Which constraint prevents a plan, found by leaving out one after the other."""
+
+    def __init__(self, camera: Camera, budget: SearchBudget) -> None:
+        self._camera = camera
+        self._budget = budget
+        self._known = ""
+
+    def of(self, constraints: Constraints) -> str:
+        """The reason; if the budget ends before it is found, what is known of it."""
+        self._known = (
+            "no set of rows covers the band with these overlaps, tolerances and limits: "
+            "ask for less overlap, a smaller tolerance or a smaller band"
+        )
+        try:
+            return (
+                self._gimbal(constraints)
+                or self._overlap(constraints)
+                or self._tolerance(constraints)
+                or "no set of rows covers the band: ask for a smaller tolerance or a smaller band"
+            )
+        except BudgetSpentError:
+            return f"{self._known} (the budget of {self._budget.seconds:g} s ended the search for a closer reason)"
+
+    def _gimbal(self, constraints: Constraints) -> str | None:
+        gimbal = constraints.gimbal
+        if gimbal is None or not self._feasible(replace(constraints, gimbal=None)):
+            return None
+        self._known = (
+            f"with the gimbal's limits (pitch {gimbal.pitch_min_deg:g} to {gimbal.pitch_max_deg:g}°, "
+            f"pan {gimbal.yaw_min_deg:g} to {gimbal.yaw_max_deg:g}°) no set of rows covers the band: "
+            "ask for a smaller band"
+        )
+        all_round = replace(constraints, gimbal=replace(gimbal, yaw_min_deg=-180.0, yaw_max_deg=180.0))
+        if not self._feasible(all_round):
+            return _pitch_limits(_rules(self._camera, all_round, self._budget), constraints, gimbal)
+        return _pan_limits(_rules(self._camera, constraints, self._budget), constraints, gimbal)
+
+    def _overlap(self, constraints: Constraints) -> str | None:
+        """Message if the overlaps are infeasible with the tolerances; None otherwise."""
+        easy = replace(constraints, gimbal=None, overlap_h=0.0, overlap_v=0.0, guarantee="coverage")
+        if not self._feasible(easy):
+            return None
+        errors = " for every pointing error" if constraints.guarantee == "all" else ""
+        together = (
+            f"overlaps of {constraints.overlap_h:g} and {constraints.overlap_v:g}{errors} are infeasible together"
+        )
+        self._known = together
+        for name, value, changed in (
+            ("horizontal", constraints.overlap_h, replace(constraints, gimbal=None, overlap_h=0.0)),
+            ("vertical", constraints.overlap_v, replace(constraints, gimbal=None, overlap_v=0.0)),
+        ):
+            if value and self._feasible(changed):
+                fails = f"a {name} overlap of {value:.3g}{errors} is infeasible with these tolerances"
+                most = self._most_overlap(constraints, name, fails)
+                return f"{fails}: the maximum is about {most:.2g}, {value - most:.2g} less"
+        return together
+
+    def _most_overlap(self, constraints: Constraints, name: str, fails: str) -> float:
+        low, high = 0.0, constraints.overlap_h if name == "horizontal" else constraints.overlap_v
+        for _ in range(_BISECTIONS):
+            self._known = f"{fails}: the maximum is between {low:.2g} and {high:.2g}"
+            middle = (low + high) / 2
+            changed = (
+                replace(constraints, gimbal=None, overlap_h=middle)
+                if name == "horizontal"
+                else replace(constraints, gimbal=None, overlap_v=middle)
+            )
+            low, high = (middle, high) if self._feasible(changed) else (low, middle)
+        return low
+
+    def _tolerance(self, constraints: Constraints) -> str | None:
+        exact = replace(constraints.tolerance, pitch_deg=0.0, roll_deg=0.0, yaw_deg=0.0)
+        if not self._feasible(replace(constraints, tolerance=exact)):
+            return None
+        t = constraints.tolerance
+        fails = (
+            f"with tolerances of {_text(t)} no set of rows of images of {_size(self._camera)} "
+            "is guaranteed to cover the band"
+        )
+        low, high = 0.0, 1.0
+        for _ in range(_BISECTIONS):
+            self._known = f"{fails}: between {low:.0%} and {high:.0%} of these tolerances would be feasible"
+            middle = (low + high) / 2
+            less = replace(t, pitch_deg=t.pitch_deg * middle, roll_deg=t.roll_deg * middle, yaw_deg=t.yaw_deg * middle)
+            low, high = (middle, high) if self._feasible(replace(constraints, tolerance=less)) else (low, middle)
+        return f"{fails}: about {low:.0%} of these tolerances would be feasible"
+
+    def _feasible(self, constraints: Constraints) -> bool:
+        rules = _rules(self._camera, constraints, self._budget)
+        return any(search.solutions(retry=False) for search in searches(rules, width=_WIDTH))
 
 
-def _pan_limits(camera: Camera, constraints: Constraints, gimbal: GimbalLimits) -> str:
-    rules = _rules(camera, constraints)
-    layout = rules.layout
+def _pan_limits(rules: RowConstraints, constraints: Constraints, gimbal: GimbalLimits) -> str:
+    camera, layout = rules.camera, rules.layout
     pan = f"the gimbal pans from {gimbal.yaw_min_deg:g} to {gimbal.yaw_max_deg:g}°"
     advice = "ask for an azimuth sector within the pan range, or let the vehicle pan the rest (yaw: auto)"
     if gimbal.yaw_max_deg - gimbal.yaw_min_deg < camera.hfov_deg:
@@ -126,9 +211,8 @@ def _pan_limits(camera: Camera, constraints: Constraints, gimbal: GimbalLimits) 
     )
 
 
-def _pitch_limits(camera: Camera, constraints: Constraints, gimbal: GimbalLimits) -> str:
+def _pitch_limits(rules: RowConstraints, constraints: Constraints, gimbal: GimbalLimits) -> str:
     low, high = constraints.band.elevation_min_deg, constraints.band.elevation_max_deg
-    rules = _rules(camera, constraints)
     lowest = _farthest_reach_deg(rules, -1)
     if lowest > low:
         return (
@@ -170,59 +254,6 @@ def _farthest_reach_deg(rules: RowConstraints, side: int) -> float:
     return side * farthest
 
 
-def _overlap(camera: Camera, constraints: Constraints) -> str | None:
-    """Message if the overlaps are infeasible with the tolerances; None otherwise."""
-    easy = replace(constraints, gimbal=None, overlap_h=0.0, overlap_v=0.0, guarantee="coverage")
-    if not _feasible(camera, easy):
-        return None
-    errors = " for every pointing error" if constraints.guarantee == "all" else ""
-    for name, value, changed in (
-        ("horizontal", constraints.overlap_h, replace(constraints, gimbal=None, overlap_h=0.0)),
-        ("vertical", constraints.overlap_v, replace(constraints, gimbal=None, overlap_v=0.0)),
-        ("", 0.0, easy),
-    ):
-        if (name and not value) or not _feasible(camera, changed):
-            continue
-        if not name:
-            break
-        most = _most_overlap(camera, constraints, name)
-        return (
-            f"a {name} overlap of {value:.3g}{errors} is infeasible with these tolerances: "
-            f"the maximum is about {most:.2g}, {value - most:.2g} less"
-        )
-    return f"overlaps of {constraints.overlap_h:g} and {constraints.overlap_v:g}{errors} are infeasible together"
-
-
-def _most_overlap(camera: Camera, constraints: Constraints, name: str) -> float:
-    low, high = 0.0, constraints.overlap_h if name == "horizontal" else constraints.overlap_v
-    for _ in range(_BISECTIONS):
-        middle = (low + high) / 2
-        changed = (
-            replace(constraints, gimbal=None, overlap_h=middle)
-            if name == "horizontal"
-            else replace(constraints, gimbal=None, overlap_v=middle)
-        )
-        low, high = (middle, high) if _feasible(camera, changed) else (low, middle)
-    return low
-
-
-def _tolerance(camera: Camera, constraints: Constraints) -> str | None:
-    exact = replace(constraints.tolerance, pitch_deg=0.0, roll_deg=0.0, yaw_deg=0.0)
-    if not _feasible(camera, replace(constraints, tolerance=exact)):
-        return None
-    t = constraints.tolerance
-    low, high = 0.0, 1.0
-    for _ in range(_BISECTIONS):
-        middle = (low + high) / 2
-        less = replace(t, pitch_deg=t.pitch_deg * middle, roll_deg=t.roll_deg * middle, yaw_deg=t.yaw_deg * middle)
-        feasible = _feasible(camera, replace(constraints, tolerance=less))
-        low, high = (middle, high) if feasible else (low, middle)
-    return (
-        f"with tolerances of {_text(t)} no set of rows of images of {_size(camera)} is guaranteed to cover the band: "
-        f"about {low:.0%} of these tolerances would be feasible"
-    )
-
-
 def _text(tolerance: Tolerance) -> str:
     return f"{tolerance.pitch_deg:g}° (pitch), {tolerance.roll_deg:g}° (roll) and {tolerance.yaw_deg:g}° (yaw)"
 
@@ -231,12 +262,7 @@ def _size(camera: Camera) -> str:
     return f"{camera.hfov_deg:.3g}° x {camera.vfov_deg:.3g}°"
 
 
-def _feasible(camera: Camera, constraints: Constraints) -> bool:
-    rules = _rules(camera, constraints)
-    return any(search.solutions(retry=False) for search in searches(rules, width=_WIDTH))
-
-
-def _rules(camera: Camera, constraints: Constraints) -> RowConstraints:
+def _rules(camera: Camera, constraints: Constraints, budget: SearchBudget) -> RowConstraints:
     every = constraints.guarantee == "all"
     neighbours = NeighbourDemand(
         planned=constraints.overlap_h,
@@ -246,4 +272,5 @@ def _rules(camera: Camera, constraints: Constraints) -> RowConstraints:
     demands = Demands(
         neighbours=neighbours, planned_v=constraints.overlap_v, worst_v=constraints.overlap_v if every else 0.0
     )
-    return RowConstraints(camera, constraints, demands, worst_loss(camera, constraints) if every else None)
+    loss = worst_loss(camera, constraints) if every else None
+    return RowConstraints(camera, constraints, demands, loss, budget=budget)

@@ -86,6 +86,18 @@ most of the time, is repeated; 0.002 costs no more images than the repetition do
 _DECIMALS = 7
 """Digits of pitch and yaw in a plan, degrees."""
 
+_VERDICT_S_PER_IMAGE, _FEW_IMAGES = 1e-3, 100
+"""Processor time of a verdict for each image before any was measured, as for so many images at least."""
+
+_ORDER_S, _ORDER_S_PER_IMAGE = 0.1, 1e-3
+"""Processor time of ordering the shots, more than was measured."""
+
+_EXPLAINING = 3
+"""A certificate that explains what fails takes as long as so many verdicts, at most."""
+
+_THINNING_VERDICTS = 12
+"""Verdicts for which time is kept where masks may make images redundant."""
+
 
 def plan_certified(
     camera: Camera,
@@ -102,7 +114,8 @@ def plan_certified(
         constraints: the constraints to satisfy.
         timing: settle time, exposure time and camera interval.
         order: order of the shots; None for the fastest.
-        budget_s: processor time after which the search ends with the best plan so far; None for no limit.
+        budget_s: processor time for all of it; the search ends early enough with the best plan so far. None for no
+            limit.
 
     Returns:
         A certified plan; or, if only certification fails, the best plan found, with `certified` False and the reasons
@@ -111,16 +124,21 @@ def plan_certified(
     Raises:
         PlanningError: the request is infeasible; the message names the constraint and by how much it fails.
     """
+    budget = SearchBudget(budget_s)
     check_request(camera, constraints)
     hopeless = nothing_to_cover(constraints) or excessive_overlap(camera, constraints)
     hopeless = hopeless or empty_cores(camera, constraints)
     if hopeless:
         raise PlanningError(hopeless)
     bound = max(least_images(camera, constraints), least_images_in_rows(camera, constraints) or 1)
-    found = _Planner(camera, constraints, SearchBudget(budget_s)).best(enough=bound)
+    planner = _Planner(camera, constraints, budget)
+    found = planner.best(enough=bound)
     limits, costs = constraints.gimbal or GimbalLimits(), timing or Timing()
     check_reachable(found.shots, constraints.gimbal)
-    shots = order_shots(mark_geometry_only(camera, constraints, found.shots), limits, costs, order=order or "fastest")
+    shots = mark_geometry_only(camera, constraints, found.shots)
+    explains = found.certificate.certified or budget.left > planner.explaining_s(len(shots))
+    if explains:
+        shots = order_shots(shots, limits, costs, order=order or "fastest")
     plan = Plan(
         method="certified",
         camera=camera,
@@ -130,8 +148,9 @@ def plan_certified(
         lower_bound=bound,
         notes=(_cut_note(budget_s, bound),) if found.cut and budget_s is not None else (),
     )
-    if not found.certificate.certified:
-        return replace(plan, certificate=certify(plan))
+    if not found.certificate.certified and explains:
+        verdict_s = planner.verdict_s(len(shots))
+        return replace(plan, certificate=certify(plan, go_on=lambda: budget.left > verdict_s))
     return replace(plan, certificate=_reindexed(found, shots))
 
 
@@ -177,6 +196,7 @@ class _Planner:
         self._constraints = trim_band(constraints)
         self._budget = budget or SearchBudget()
         self._best: _Found | None = None
+        self._image_s = _VERDICT_S_PER_IMAGE
         self._spent = 0
         self._tried: dict[tuple[object, ...], bool] = {}
 
@@ -203,12 +223,34 @@ class _Planner:
                     f"no plan was found within the budget of {self._budget.seconds:g} s of processor time: "
                     "allow more (--budget), or ask for a smaller band, less overlap or a shorter focal length"
                 )
-            raise infeasibility_error(self._camera, self._constraints)
+            self._budget.reserve(0.0)
+            raise infeasibility_error(self._camera, self._constraints, self._budget)
         best = replace(self._best, cut=cut)
         if self._asked.masks and best.certificate.certified:
-            shots = drop_redundant_shots(self._camera, self._asked, best.shots)
-            return replace(best, shots=shots, certificate=_verdict(self._camera, self._asked, shots))
+            return self._without_redundant(best)
         return best
+
+    def verdict_s(self, images: int) -> float:
+        """About how long a verdict on so many images takes, by those before, seconds of processor time."""
+        return self._image_s * max(images, _FEW_IMAGES)
+
+    def explaining_s(self, images: int) -> float:
+        """About how long it takes to order images and to explain what fails, seconds of processor time."""
+        return _order_s(images) + _EXPLAINING * self.verdict_s(images)
+
+    def _without_redundant(self, best: _Found) -> _Found:
+        """A certified plan without images that see only masks, as far as there is time to tell."""
+        images, cut = len(best.shots), False
+
+        def go_on() -> bool:
+            nonlocal cut
+            # this verdict, and that on the result
+            cut = cut or self._budget.left < 2 * self.verdict_s(images) + _order_s(images)
+            return not cut
+
+        shots = drop_redundant_shots(self._camera, self._asked, best.shots, go_on)
+        certificate = _verdict(self._camera, self._asked, shots)
+        return replace(best, shots=shots, certificate=certificate, cut=best.cut or cut)
 
     def _search(self, constraints: Constraints) -> int:
         """Search with every set of demands, the weakest first, until a plan is certified; return the last group."""
@@ -248,9 +290,9 @@ class _Planner:
             return self._best_images or 0
 
         for shots in uneven_rows(self._camera, self._asked, images, enough=enough, budget=self._budget):
-            certificate = _verdict(self._camera, self._asked, shots)
+            certificate = self._timed_verdict(self._asked, shots)
             if certificate.certified:
-                self._best = _Found(shots, certificate)
+                self._keep(_Found(shots, certificate))
 
     def _further(self, group: int) -> Iterator[tuple[Constraints, Variant]]:
         """What to try after the search of the request itself, which ended at a group of variants."""
@@ -321,7 +363,7 @@ class _Planner:
             if found is None:
                 continue
             if self._best is None or found.rank < self._best.rank:
-                self._best = found
+                self._keep(found)
             if found.certificate.certified or self._many_certified:
                 return None
             lack = _missing(found.certificate, self._constraints)
@@ -360,9 +402,31 @@ class _Planner:
 
     def _certify(self, rules: RowConstraints, rows: Rows) -> _Found:
         shots = row_shots(rules, rows)
-        self._budget.use()
         self._spent += len(shots)
-        return _Found(shots, _verdict(self._camera, self._constraints, shots))
+        return _Found(shots, self._timed_verdict(self._constraints, shots))
+
+    def _timed_verdict(self, constraints: Constraints, shots: Sequence[Shot]) -> Certificate:
+        self._budget.use(seconds=self.verdict_s(len(shots)))
+        began = self._budget.clock()
+        certificate = _verdict(self._camera, constraints, shots)
+        self._image_s = max(self._image_s, (self._budget.clock() - began) / max(len(shots), _FEW_IMAGES))
+        return certificate
+
+    def _keep(self, found: _Found) -> None:
+        """Take a plan for the best, and keep the time that it takes to complete it."""
+        self._best = found
+        images = len(found.shots)
+        after = _order_s(images)
+        if not found.certificate.certified:
+            after = self.explaining_s(images)
+        elif self._asked.masks:
+            after += _THINNING_VERDICTS * self.verdict_s(images)
+        self._budget.reserve(after)
+
+
+def _order_s(images: int) -> float:
+    """About how long ordering the shots takes, seconds of processor time."""
+    return _ORDER_S + _ORDER_S_PER_IMAGE * images
 
 
 def _first_of_each_total(solutions: Sequence[Label]) -> Iterator[Label]:

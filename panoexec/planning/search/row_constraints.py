@@ -34,6 +34,8 @@ _MANY = 40
 _ZONE_NODES = 46
 _TURN_NODES = 8
 _SIGNATURE_NODES = 121
+_MANY_COUNTS = 60
+"""With more counts of images than this for the first row, not all of them are tried at every pitch."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +89,7 @@ class RowConstraints:
         inside = max(self.pitch_deg[0], self.band_deg[0]), min(self.pitch_deg[1], self.band_deg[1])
         if within_band and inside[0] <= inside[1]:
             self.pitch_deg = inside
-        self._spacing = NeighbourSpacing(camera, demands.neighbours)
+        self._spacing = NeighbourSpacing(camera, demands.neighbours, budget)
         self.layout = RowLayout(constraints, self._spacing.widest)
         self._cover = RowCover(camera, constraints.tolerance)
         self.margin = PairMargin(camera, self.layout, self._cover, budget)
@@ -314,6 +316,11 @@ class RowConstraints:
         fewest, most = self.counts_between(float(candidates[0]), float(candidates[-1]))
         counts = np.arange(fewest, most + more_images + 1)
         pitch, count = np.repeat(candidates, len(counts)), np.tile(counts, len(candidates))
+        if len(counts) > _MANY_COUNTS:
+            # of the long rows of a band near a pole only those that C2 asks for at a pitch, and a few longer ones
+            needed = np.repeat(self.fewest(candidates), len(counts))
+            useful = (count >= needed - 1) & (count <= needed + more_images)
+            pitch, count = pitch[useful], count[useful]
         good = self._begins(pitch, count)
         highest = np.array([pitch[good & (count == c)].max(initial=-np.inf) for c in counts.tolist()])
         counts, highest = counts[np.isfinite(highest)], highest[np.isfinite(highest)]
@@ -327,6 +334,8 @@ class RowConstraints:
         return np.where(fine, upper, lower), counts
 
     def _begins(self, pitch_deg: FloatArray, count: IntArray) -> NDArray[np.bool_]:
+        if self._budget is not None:
+            self._budget.use()
         low, high = self.band(pitch_deg, count)
         bottom = self.band_deg[0]
         return np.asarray(self.allowed(pitch_deg, count) & (low <= bottom) & (high > max(bottom, -89.999)))

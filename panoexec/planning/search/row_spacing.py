@@ -12,6 +12,7 @@ from panoexec.angles import FloatArray
 from panoexec.optics import Camera
 from panoexec.planning.geometry.root_finding import last_nonnegative
 from panoexec.planning.model import NO_TOLERANCE, Tolerance
+from panoexec.planning.search.budget import SearchBudget
 from panoexec.planning.search.row_cover import CoreEdges
 from panoexec.planning.search.row_overlap import neighbour_overlap
 
@@ -71,14 +72,20 @@ class NeighbourDemand:
 class NeighbourSpacing:
     """Permitted spacing of neighbours in a row, for one camera and demand."""
 
-    def __init__(self, camera: Camera, demand: NeighbourDemand) -> None:
+    def __init__(self, camera: Camera, demand: NeighbourDemand, budget: SearchBudget | None = None) -> None:
         self._camera = camera
         self._demand = demand
+        self._budget = budget or SearchBudget()
         costly = max(demand.worst, demand.second) > 0 and not demand.tolerance.is_zero
         self._precision = 1e-4 if costly else 1e-7
 
     def surplus(self, pitch_deg: FloatArray, spacing_deg: FloatArray) -> FloatArray:
-        """See `NeighbourDemand.surplus`."""
+        """See `NeighbourDemand.surplus`.
+
+        Raises:
+            BudgetSpentError: the budget of the search is used up.
+        """
+        self._budget.use()
         return self._demand.surplus(self._camera, pitch_deg, spacing_deg)
 
     def widest(self, pitch_deg: FloatArray) -> FloatArray:
@@ -96,7 +103,7 @@ class NeighbourSpacing:
     def least_steep_deg(self, spacing_deg: FloatArray) -> FloatArray:
         """The minimum |pitch| at which neighbours may have the spacing (k,); 90 where they never may, NaN for none."""
         flatness = last_nonnegative(
-            lambda which, x: self._demand.surplus(self._camera, 90.0 - x, spacing_deg[which]),
+            lambda which, x: self.surplus(90.0 - x, spacing_deg[which]),
             np.full(len(spacing_deg), 0.1),
             np.full(len(spacing_deg), 90.0),
             self._precision,
@@ -112,7 +119,7 @@ class NeighbourSpacing:
     def _widest_spacing(self, steepness_deg: FloatArray) -> FloatArray:
         count = len(steepness_deg)
         found = last_nonnegative(
-            lambda which, spacing: self._demand.surplus(self._camera, steepness_deg[which], spacing),
+            lambda which, spacing: self.surplus(steepness_deg[which], spacing),
             np.full(count, max(360.0 / MOST_IN_A_ROW, self._camera.hfov_deg / _MOST_ABREAST)),
             np.full(count, 180.0),
             self._precision,

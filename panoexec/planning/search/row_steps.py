@@ -105,12 +105,19 @@ def _anywhere(
         best[unsettled] = np.fmax(best[unsettled], settled)
     missing = np.nonzero(np.isnan(best))[0]
     if len(missing):
-        best[missing] = last_nonnegative(
-            lambda index, high_deg: exact(missing[index], high_deg),
-            start[missing],
-            np.maximum(guess[missing], start[missing]),
+        # mostly it is coverage that fails, which costs a fraction of the overlaps
+        lowest, highest = start[missing], np.maximum(guess[missing], start[missing])
+        covers = last_nonnegative(
+            lambda index, high_deg: exact.coverage(missing[index], high_deg),
+            lowest,
+            highest,
             _PRECISION * height_deg,
             8,
+        )
+        some = np.nonzero(~np.isnan(covers))[0]
+        missing, lowest, highest = missing[some], lowest[some], covers[some]
+        best[missing] = last_nonnegative(
+            lambda index, high_deg: exact(missing[index], high_deg), lowest, highest, _PRECISION * height_deg, 8
         )
     return best
 
@@ -129,6 +136,11 @@ class _Surplus:
         return _Surplus(
             self._margin, self._pairs.at(which, self._pairs.high_deg[which]), self._wanted[which], self._resolution
         )
+
+    def coverage(self, which: IntArray, high_deg: FloatArray) -> FloatArray:
+        """The surplus of the coverage alone, which is at least that of coverage and overlap."""
+        margins = self._margin.coverage_margins(self._pairs.at(which, high_deg), self._resolution)
+        return np.asarray(margins.max(axis=1) - self._wanted[which])
 
     def __call__(self, which: IntArray, high_deg: FloatArray) -> FloatArray:
         pairs = self._pairs.at(which, high_deg)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -42,19 +42,29 @@ def _spans(mask: AngleBox, azimuth_min_deg: float, span_deg: float) -> bool:
     return width >= 360.0 or begin + span_deg <= width + SAME_AZIMUTH_DEG
 
 
-def drop_redundant_shots(camera: Camera, constraints: Constraints, shots: Sequence[Shot]) -> tuple[Shot, ...]:
+def drop_redundant_shots(
+    camera: Camera, constraints: Constraints, shots: Sequence[Shot], go_on: Callable[[], bool] = lambda: True
+) -> tuple[Shot, ...]:
     """The shots without those that masks make redundant; the certificate decides.
 
     Candidates are tried by the fraction of the domain that they see: first all that see nothing of it, then one by one.
+
+    Args:
+        camera: the camera.
+        constraints: with the masks.
+        shots: of a certified plan.
+        go_on: asked before each verdict; False ends it with what was dropped until then.
     """
     needed = _domain_fractions(camera, constraints, shots)
     kept = [shot for shot, share in zip(shots, needed.tolist(), strict=True) if share > 0]
-    if len(kept) == len(shots) or not _certified(camera, constraints, kept):
+    if len(kept) == len(shots) or not go_on() or not _certified(camera, constraints, kept):
         kept = list(shots)
     candidates = sorted((share, i) for i, share in enumerate(needed.tolist()) if share < 0.6)
     for _, i in candidates[:_MOST_TRIED]:
         if shots[i] not in kept:
             continue
+        if not go_on():
+            break
         fewer = [shot for shot in kept if shot is not shots[i]]
         if _certified(camera, constraints, fewer):
             kept = fewer

@@ -120,30 +120,30 @@ class _Loss:
         steepness = np.linspace(0.0, 90.0, _NODES)
         # first at a distance with some overlap to lose, then at the distance that compensates the loss
         step = _LOSS_STEP * self._camera.vfov_deg
-        losses = np.array([_loss_at(self._camera, self._constraints, -s, step) for s in steepness.tolist()])
+        losses = _losses_at(self._camera, self._constraints, -steepness, step)
         overlap = self._constraints.overlap_v + 1.5 * float(losses.max()) + _TO_SPARE
         half = self._camera.half_height
         usual = self._camera.vfov_deg / 2 + math.degrees(math.atan(half * (1 - 2 * overlap)))
         if usual > step:
-            again = [_loss_at(self._camera, self._constraints, -s, usual) for s in steepness.tolist()]
-            return steepness, np.array(again)
+            return steepness, _losses_at(self._camera, self._constraints, -steepness, usual)
         return steepness, losses
 
 
-def _loss_at(camera: Camera, constraints: Constraints, pitch_deg: float, step_deg: float) -> float:
-    worst = 0.0
-    for other_deg in (pitch_deg + step_deg, pitch_deg - step_deg):
-        if other_deg < -90.0:
-            continue
-        spacing = 0.8 * camera.hfov_deg / max(math.cos(math.radians(other_deg)), 0.05)
-        count = int(min(2 * _AROUND, max(1, 360 // spacing)))
-        for shift in (0.0, 0.5):
-            yaws = (np.arange(count) - (count - 1) // 2 + shift) * min(spacing, 360.0 / count)
-            poses = np.concatenate([rotation([0.0], pitch_deg), rotation(yaws, other_deg)])
-            partners = np.arange(1, count + 1)[None]
-            present = np.ones_like(partners, dtype=bool)
-            corners = ErrorCorners.of(camera, poses, constraints.tolerance)
-            least = worst_union_overlaps(corners, np.zeros(1, dtype=np.intp), partners, present)
-            planned = union_overlap(camera, poses[:1], poses[partners], present)
-            worst = max(worst, float(planned[0] - least[0]))
-    return worst
+def _losses_at(camera: Camera, constraints: Constraints, pitch_deg: FloatArray, step_deg: float) -> FloatArray:
+    """The largest losses (k,) of images at pitches (k,) with a row at a distance above or below them."""
+    image_deg, other_deg = np.repeat(pitch_deg, 4), np.tile([step_deg, step_deg, -step_deg, -step_deg], len(pitch_deg))
+    other_deg += image_deg
+    spacing = 0.8 * camera.hfov_deg / np.maximum(np.cos(np.radians(other_deg)), 0.05)
+    count = np.clip(360 // spacing, 1, 2 * _AROUND).astype(int)
+    steps = np.arange(2 * _AROUND)
+    present = steps < count[:, None]
+    shift = np.tile([0.0, 0.5], 2 * len(pitch_deg))[:, None]
+    yaws = (steps - (count[:, None] - 1) // 2 + shift) * np.minimum(spacing, 360.0 / count)[:, None]
+    poses = np.concatenate([rotation(0.0, image_deg), rotation(yaws, other_deg[:, None]).reshape(-1, 3, 3)])
+    partners = len(image_deg) + np.arange(yaws.size).reshape(yaws.shape)
+    real = np.nonzero(other_deg >= -90.0)[0]
+    partners, present = partners[real], present[real]
+    least = worst_union_overlaps(ErrorCorners.of(camera, poses, constraints.tolerance), real, partners, present)
+    losses = np.zeros(len(image_deg))
+    losses[real] = union_overlap(camera, poses[real], poses[partners], present) - least
+    return np.asarray(losses.reshape(-1, 4).max(axis=1, initial=0.0))
