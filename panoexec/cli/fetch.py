@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from panoexec.cli.fetch_http import Page, password_of
-from panoexec.cli.output import note, print_json
+from panoexec.cli.output import counted, note, print_json
 from panoexec.errors import DeviceError, PanoexecError, UsageError
 from panoexec.files import write_atomically_with
 from panoexec.inputs.service_sections import StorageSection
@@ -70,12 +70,12 @@ def run(args: argparse.Namespace) -> int:
     if args.url is None and (args.user or args.password_file or args.ca_file):
         raise UsageError("--user, --password-file and --ca-file are for --url")
     target = _from_page(args) if args.url is not None else _from_storage(args)
-    problems, verified = _problems(MissionDirectory(target))
+    problems, verified, without_hash = _problems(MissionDirectory(target))
     if args.json:
         print_json({"mission": str(target), "problems": problems})
     else:
         print(target)
-    note(f"photos verified by the hashes of the manifest: {verified}")
+    note(_told(verified, without_hash))
     for problem in problems[:_SHOWN]:
         note(problem)
     if len(problems) > _SHOWN:
@@ -179,31 +179,45 @@ def _rsync(*arguments: str) -> str:
     return done.stdout
 
 
-def _problems(directory: MissionDirectory) -> tuple[list[str], int]:
-    """Photos that are missing or are not those of the manifest, a line each; and the number of those that are.
+def _told(verified: int, without_hash: int) -> str:
+    """What the hashes of the manifest say about the photos, and of how many they say nothing."""
+    if verified or not without_hash:
+        words = f"photos verified by the hashes of the manifest: {verified}"
+    else:
+        words = "no photo was verified"
+    if without_hash:
+        words += f"; {counted(without_hash, 'photo')} came without a hash in the manifest, as those of a dry-run do"
+    return words
 
-    Of a bracket every photo counts.
+
+def _problems(directory: MissionDirectory) -> tuple[list[str], int, int]:
+    """Photos that are missing or are not those of the manifest, a line each; how many are; how many have no hash there.
+
+    The last are photos that are here; those on the camera's card do not count. Of a bracket every photo counts.
     """
     try:
         manifest = read_manifest(directory.manifest)
     except PanoexecError as error:
-        return [str(error)], 0
-    out, verified = [], 0
+        return [str(error)], 0, 0
+    out, verified, without_hash = [], 0, 0
     for shot in manifest["shots"]:
         number = shot.get("accepted_attempt")
         if number is None:
             continue
         attempt: dict[str, Any] = next((one for one in shot.get("attempts", ()) if one["number"] == number), {})
         photos = {(one.get("file"), one.get("sha256")): None for one in (shot, *attempt.get("photos", ()))}
+        with_hash = {file for file, digest in photos if digest}
         for file, digest in photos:
-            if not file or not digest:
+            if not file or (not digest and file in with_hash):
                 continue
             try:
-                is_same = hash_file(directory.path / file)[1] == digest
+                found = hash_file(directory.path / file)[1]
             except OSError:
-                out.append(f"shot {shot['index']}: {file} is missing")
-                continue
-            verified += is_same
-            if not is_same:
+                if digest:
+                    out.append(f"shot {shot['index']}: {file} is missing")
+                continue  # without a hash it was never stored: it is on the camera's card
+            without_hash += not digest
+            verified += found == digest
+            if digest and found != digest:
                 out.append(f"shot {shot['index']}: {file} is not the photo of the manifest")
-    return out, verified
+    return out, verified, without_hash

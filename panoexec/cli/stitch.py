@@ -61,7 +61,9 @@ def run(args: argparse.Namespace) -> int:
     """Stitch the photos and print the result."""
     from panoexec.stitching.mission import load_mission  # noqa: PLC0415
     from panoexec.stitching.pipeline import ContentRefusedError, StitchOptions  # noqa: PLC0415
+    from panoexec.stitching.tools import check_tools  # noqa: PLC0415
 
+    check_tools(cpfind=args.matcher == "cpfind")  # before bars of steps that never begin
     mission = load_mission(args.mission)
     for name, reason in mission.left_out.items():
         note(f"left out: {name} {reason}")

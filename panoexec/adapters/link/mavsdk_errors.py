@@ -45,6 +45,18 @@ class _LogBridge:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._logged: dict[str, float] = {}
+        self._is_subscribed = False
+
+    def subscribe(self) -> None:
+        """Subscribe once in a process.
+
+        MAVSDK's Python frees the trampoline of the earlier subscription before the library has the new one, and of two
+        threads that subscribe at once the library may keep the one that is freed: its threads then call freed memory.
+        """
+        with self._lock:
+            if not self._is_subscribed:
+                mavsdk.log_subscribe(self)
+                self._is_subscribed = True
 
     def __call__(self, level: LogLevel, message: str, file: str | None, line: int) -> bool:
         now = time.monotonic()
@@ -64,8 +76,8 @@ _log_bridge = _LogBridge()
 
 
 def quiet_mavsdk_log() -> None:
-    """Forward MAVSDK's log to panoexec's; call this before any MAVSDK object is created."""
-    mavsdk.log_subscribe(_log_bridge)
+    """Forward MAVSDK's log to panoexec's; call this before any MAVSDK object is created, as often as you like."""
+    _log_bridge.subscribe()
 
 
 def device_error(what: str, error: MavsdkError, *, connected: bool) -> DeviceError:

@@ -149,11 +149,24 @@ def test_every_photo_of_a_bracket_is_verified(
     attempts = [{"number": 1, "photos": photos[::-1]}, {"number": 2, "photos": photos}]
     shot = {"index": 0, "accepted_attempt": 2, **photos[0], "attempts": attempts}
     monkeypatch.setattr(fetch, "read_manifest", lambda _: {"shots": [shot]})
-    assert fetch._problems(mission) == ([], 3)
+    assert fetch._problems(mission) == ([], 3, 0)
     (mission.images / "1.JPG").unlink()
     (mission.images / "2.JPG").write_bytes(b"another")
     told = ["shot 0: images/1.JPG is missing", "shot 0: images/2.JPG is not the photo of the manifest"]
-    assert fetch._problems(mission) == (told, 1)
+    assert fetch._problems(mission) == (told, 1, 0)
+
+
+def test_photos_without_a_hash_are_said_to_be_unverified(
+    mission: MissionDirectory, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shots = [
+        {"index": n, "accepted_attempt": 1, "file": file, "sha256": None, "attempts": [{"number": 1}]}
+        for n, file in enumerate(["images/0.JPG", "images/1.JPG", "/DCIM/100/ON_THE_CARD.JPG"])
+    ]
+    monkeypatch.setattr(fetch, "read_manifest", lambda _: {"shots": shots})
+    assert fetch._problems(mission) == ([], 0, 2)
+    assert run(["fetch", "--from", str(mission.path.parent.parent), "--to", str(mission.path.parent.parent / "x")]) == 0
+    assert "no photo was verified; 2 photos came without a hash in the manifest" in capsys.readouterr().err
 
 
 def test_members_of_the_group_can_read_what_the_service_writes(tmp_path: Path) -> None:
@@ -166,3 +179,13 @@ def test_members_of_the_group_can_read_what_the_service_writes(tmp_path: Path) -
     for path in (directory.path, *directory.path.rglob("*")):
         mode = path.stat().st_mode & 0o777
         assert mode == (0o750 if path.is_dir() else 0o640), path
+
+
+def test_where_hugin_is_missing_no_step_of_the_stitcher_is_shown(
+    mission: MissionDirectory, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    restore_outputs(mission)
+    monkeypatch.setattr(shutil, "which", lambda _: None)
+    assert run(["stitch", str(mission.path)]) == 3
+    lines = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("left out: ")]
+    assert [line.partition(" (")[0] for line in lines] == ["panoexec: Hugin's tools are not installed"]
