@@ -40,6 +40,7 @@ class AttitudeSample:
         yaw_frame: the reference frame of the attitude.
         rate_deg_s: magnitude of the angular velocity; NaN if unknown.
         failure_flags: the device's own errors (GIMBAL_DEVICE_ERROR_FLAGS), 0 = none.
+        axis_rates_deg_s: of pitch, roll and yaw, relative to the earth; NaN if unknown.
     """
 
     received_s: float
@@ -48,6 +49,7 @@ class AttitudeSample:
     yaw_frame: YawFrame
     rate_deg_s: float
     failure_flags: int = 0
+    axis_rates_deg_s: tuple[float, float, float] = (float("nan"), float("nan"), float("nan"))
 
 
 @dataclass(frozen=True, slots=True)

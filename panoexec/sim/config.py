@@ -72,6 +72,7 @@ class GimbalConfig:
         gust_deg_s2: standard deviation of the camera's angular acceleration in wind of 10 m/s; proportional to the
             square of the wind speed.
         gust_corner_hz: corner frequency of the gusts.
+        rate_noise_deg_s: standard deviation of the noise of its gyroscopes, white, in every reported rate.
         report_hz: rate of the attitude reports that it sends by itself.
         report_obeys: it sends more or fewer of them when its component is asked to.
         report_step_deg: step of reported angles; 0: none.
@@ -96,6 +97,7 @@ class GimbalConfig:
     heading_period_s: float = 90.0
     gust_deg_s2: float = 40.0
     gust_corner_hz: float = 1.5
+    rate_noise_deg_s: float = 0.05
     report_hz: float = 50.0
     report_obeys: bool = True
     report_step_deg: float = 0.0

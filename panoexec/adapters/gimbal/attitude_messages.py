@@ -77,6 +77,7 @@ def gimbal_sample(
         yaw_frame=frame,
         rate_deg_s=_rate_deg_s(fields, q),
         failure_flags=fields["failure_flags"],
+        axis_rates_deg_s=_axis_rates_deg_s(fields, q),
     )
 
 
@@ -110,6 +111,21 @@ def _rate_deg_s(fields: Mapping[str, Any], q: Quaternion) -> float:
         down_x, down_y, down_z = _down(q)
         x, y, z = x + turning * down_x, y + turning * down_y, z + turning * down_z
     return math.degrees(math.hypot(x, y, z))
+
+
+def _axis_rates_deg_s(fields: Mapping[str, Any], q: Quaternion) -> tuple[float, float, float]:
+    """Rates of pitch, roll and yaw relative to the earth, for a camera whose roll is small; NaN if unknown.
+
+    Pitch and roll are the same in every yaw frame. Three zeros count as unknown: no sensor measures them, and devices
+    that measure no rates send them.
+    """
+    x, y, z = fields["angular_velocity_x"], fields["angular_velocity_y"], fields["angular_velocity_z"]
+    if None in (x, y, z) or x == y == z == 0:
+        return _NAN, _NAN, _NAN
+    down_x, _, down_z = _down(q)
+    turning = (number(fields.get("delta_yaw_velocity")) or _NAN) if fields["flags"] & YAW_IN_VEHICLE_FRAME else 0.0
+    yaw = x * down_x + z * down_z + turning
+    return math.degrees(y), math.degrees(x * down_z - z * down_x), math.degrees(yaw)
 
 
 def _down(q: Quaternion) -> tuple[float, float, float]:

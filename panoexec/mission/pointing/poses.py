@@ -47,12 +47,14 @@ class Reading:
         rotation: camera to plan frame (3, 3), None with a problem.
         rate_deg_s: angular speed, NaN if not reported.
         problem: why the sample is unusable, "" if it is usable.
+        axis_rates_deg_s: of pitch, roll and yaw, NaN if not reported.
     """
 
     time_s: float
     rotation: FloatArray | None
     rate_deg_s: float
     problem: str = ""
+    axis_rates_deg_s: tuple[float, float, float] = (math.nan, math.nan, math.nan)
 
 
 def heading_deg(vehicle: VehicleAttitude) -> float:
@@ -87,9 +89,8 @@ def read_pose(sample: AttitudeSample, vehicle: VehicleAttitude | None, reference
     if problem:
         return Reading(sample.received_s, None, sample.rate_deg_s, problem)
     half = math.radians(turn_deg) / 2
-    return Reading(
-        sample.received_s, _matrix(_product((math.cos(half), 0.0, 0.0, math.sin(half)), q)), sample.rate_deg_s
-    )
+    matrix = _matrix(_product((math.cos(half), 0.0, 0.0, math.sin(half)), q))
+    return Reading(sample.received_s, matrix, sample.rate_deg_s, axis_rates_deg_s=sample.axis_rates_deg_s)
 
 
 _NOT_FINITE = "the {} reports a non-finite attitude"

@@ -22,8 +22,9 @@ from panoexec.angles import (
     angle_between,
 )
 from panoexec.mission.log.events import AxisErrors, MeasuredPose
+from panoexec.mission.pointing.foresight import Foresight, axis_errors
 from panoexec.mission.pointing.poses import Reading, mean_pose
-from panoexec.mission.pointing.unseen_motion import DENSE_GAP_S, slope, unseen_error
+from panoexec.mission.pointing.unseen_motion import DENSE_GAP_S, unseen_error
 from panoexec.planning.geometry.pose_error import PoseError, pose_error
 from panoexec.planning.model import Tolerance
 
@@ -31,8 +32,6 @@ FORESEEN_FROM_S = 0.25
 """The speed at which a pose goes on is that of the readings of this time: noise of encoders has little part in it."""
 GUST_FROM_S = 0.1
 """The same for a gimbal in a gust, which turns about within half a period of its control loop (4 Hz)."""
-GUST_FRAC = 0.8
-"""The part of the tolerance in which a gimbal in a gust must be foreseen: beyond it, it is as often out as in."""
 KICK = 3.0
 """A pose that is off by more times the tolerance may swing again."""
 SPARSE_INTERVALS = 2.5
@@ -107,8 +106,8 @@ class SettleTracker:
         self._inside_since = math.nan
         self._newest = math.nan
         self._last: PoseError | None = None
-        self._track: deque[tuple[float, float, float, float]] = deque()
-        self._track_s = FORESEEN_FROM_S if limits.foresee_s else GUST_FROM_S if limits.gust_s else 0.0
+        span_s = FORESEEN_FROM_S if limits.foresee_s else GUST_FROM_S if limits.gust_s else 0.0
+        self._foresight = Foresight(target.tolerance, span_s)
         self._leaving_s = -math.inf
         self._held = False
         self._run_s = limits.settle_s  # how long the current run of good readings must be
@@ -145,7 +144,7 @@ class SettleTracker:
         """
         if not self.settled_at_s <= now_s + 1e-9 or self.is_stale(now_s):
             return False
-        if self._limits.gust_s and self._leaving(self._limits.gust_s, GUST_FRAC):
+        if self._limits.gust_s and self._foresight.is_gusty(self._limits.gust_s):
             self._leaving_s = self._newest
             return False
         return True
@@ -160,16 +159,16 @@ class SettleTracker:
         usable = [reading.rotation for reading in readings if reading.rotation is not None]
         errors = pose_error(self._target.pitch_deg, self._target.yaw_deg, np.stack(usable)) if usable else None
         inside = iter([] if errors is None else errors.within(self._target.tolerance).tolist())
-        axes = iter([] if errors is None else _axes(errors).tolist())
+        axes = iter([] if errors is None else axis_errors(errors))
         if errors is not None and self._held and not np.all(errors.within(self._target.tolerance.times(KICK))):
             self._held = False
         for reading in readings:
             if reading.rotation is None:
-                self._track.clear()
+                self._foresight.clear()
                 self._take(reading, inside=False)
                 continue
-            if self._track_s:
-                self._follow(reading.time_s, *next(axes))
+            if self._foresight.keeps:
+                self._foresight.add(reading.time_s, next(axes), reading.axis_rates_deg_s)
             self._take(reading, inside=next(inside))
         if readings:
             self._last = None if errors is None or readings[-1].rotation is None else errors[-1]
@@ -205,23 +204,7 @@ class SettleTracker:
         rate = self._rate_deg_s(reading)
         if rate > self._limits.max_rate_deg_s:
             return f"still turning at {rate:.1f}°/s (at most {self._limits.max_rate_deg_s:g}°/s)"
-        return self._leaving(self._limits.foresee_s) if self._limits.foresee_s else ""
-
-    def _follow(self, time_s: float, pitch_deg: float, roll_deg: float, yaw_deg: float) -> None:
-        self._track.append((time_s, pitch_deg, roll_deg, yaw_deg))
-        while self._track[0][0] < time_s - self._track_s - 1e-6:
-            self._track.popleft()
-
-    def _leaving(self, ahead_s: float, share: float = 1.0) -> str:
-        """Which axis would leave a share of its tolerance within a time, at its present speed; "" if none would."""
-        times, *axes = np.array(self._track).T
-        tolerance = self._target.tolerance
-        limits = (share * tolerance.pitch_deg, share * tolerance.roll_deg, share * tolerance.yaw_deg)
-        for name, values, limit in zip(("pitch", "roll", "yaw"), axes, limits, strict=True):
-            coming_deg = float(values.mean()) + slope(times, values) * (times[-1] - times.mean() + ahead_s)
-            if abs(coming_deg) > limit:
-                return f"{name} will be off by {coming_deg:+.3g}° in {ahead_s:.2f} s (at most {limit:g}°)"
-        return ""
+        return self._foresight.leaving(self._limits.foresee_s) if self._limits.foresee_s else ""
 
     def _rate_deg_s(self, reading: Reading) -> float:
         if self._limits.use_reported_rate and not math.isnan(reading.rate_deg_s):
@@ -236,11 +219,6 @@ class SettleTracker:
         return (
             math.sqrt(sum(float(v) ** 2 for v in (turned.across_deg, turned.along_deg, turned.rotation_deg))) / elapsed
         )
-
-
-def _axes(errors: PoseError) -> FloatArray:
-    """Errors of pitch, roll and yaw, (n, 3)."""
-    return np.stack([errors.pitch_deg, errors.roll_deg, errors.yaw_deg], axis=-1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

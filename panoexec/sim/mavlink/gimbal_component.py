@@ -191,7 +191,7 @@ class GimbalComponent:
         measured, lock = self.measured(), self.physics.target.yaw_lock
         nose_deg = self.physics.nose_deg if self._frozen is None else self._frozen_nose_deg
         turning = self.vehicle_yaw_rate_deg_s
-        yaw_s, roll_s, pitch_s = self.physics.rates
+        yaw_s, roll_s, pitch_s = self.physics.measure_rates()
         relative_s = yaw_s - turning if self.physics.config.pans else 0.0
         rates = body_rates(measured, Rates(relative_s, roll_s, pitch_s))
         frame, off_deg = _FRAME_VEHICLE, self.physics.config.north_off_deg

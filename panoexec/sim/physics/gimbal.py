@@ -139,6 +139,7 @@ class GimbalPhysics:
         gust = seeded(seed, "gimbal/gust")
         self._gusts = [ColouredNoise(config.gust_corner_hz, step_s, gust) for _ in range(3)]
         self._encoder = seeded(seed, "gimbal/encoder")
+        self._gyroscopes = seeded(seed, "gimbal/gyroscopes")
         self._target = Target()
         self._nose_deg = 0.0  # the vehicle's heading, unwrapped
         self._slip = _Slip()
@@ -270,6 +271,12 @@ class GimbalPhysics:
         now, before = self._slip.at(self.time_s), self._slip.at(self.time_s - self._step_s)
         yaw_slip, pitch_slip = ((a - b) / self._step_s for a, b in zip(now, before, strict=True))
         return Rates(self._yaw.rate_deg_s + yaw_slip, self._roll.rate_deg_s, self._pitch.rate_deg_s + pitch_slip)
+
+    def measure_rates(self) -> Rates:
+        """Rates for one report, with new noise of the gyroscopes."""
+        noise, gauss = self.config.rate_noise_deg_s, self._gyroscopes.gauss
+        yaw_s, roll_s, pitch_s = self.rates
+        return Rates(yaw_s + gauss(0.0, noise), roll_s + gauss(0.0, noise), pitch_s + gauss(0.0, noise))
 
     def measure(self) -> Angles:
         """One report: the estimate with new encoder noise."""

@@ -17,6 +17,7 @@ from panoexec.adapters.gimbal.attitude_messages import (
 )
 from panoexec.angles import rotation_from_quaternion
 from panoexec.devices import VehicleAttitude, YawFrame
+from panoexec.sim.physics.gimbal import Angles, Rates, body_rates, quaternion
 
 ANGLE = st.floats(-math.pi, math.pi)
 
@@ -31,6 +32,18 @@ def fields_285(**changes: Any) -> dict[str, Any]:
         "angular_velocity_z": 0.0,
         "failure_flags": 0,
     } | changes
+
+
+def turning_285(pitch: float, roll: float, rates: Rates, **changes: Any) -> dict[str, Any]:
+    """A report relative to the vehicle's nose, which turns at 1.5°/s, of a camera with these rates of its axes."""
+    x, y, z = body_rates(Angles(20.0, roll, pitch), Rates(rates.yaw_deg_s - 1.5, rates.roll_deg_s, rates.pitch_deg_s))
+    return fields_285(
+        q=list(quaternion(Angles(20.0, roll, pitch))),
+        angular_velocity_x=x,
+        angular_velocity_y=y,
+        angular_velocity_z=z,
+        **{"delta_yaw_velocity": math.radians(1.5)} | changes,
+    )
 
 
 def fields_30(roll: float, pitch: float, yaw: float, **changes: Any) -> dict[str, Any]:
@@ -75,6 +88,26 @@ def test_no_attitude_is_not_a_number(q: list[float | None]) -> None:
 def test_an_untold_rate_is_not_a_number() -> None:
     assert math.isnan(gimbal_sample(fields_285(angular_velocity_y=None), 0.0).rate_deg_s)
     assert math.isnan(number(None))
+
+
+@given(pitch=st.floats(-90, 60), roll=st.floats(-0.5, 0.5), rates=st.tuples(*[st.floats(-3, 3)] * 3))
+def test_the_rates_of_the_axes_are_those_of_the_gimbal(
+    pitch: float, roll: float, rates: tuple[float, float, float]
+) -> None:
+    told = gimbal_sample(turning_285(pitch, roll, Rates(*rates)), 0.0).axis_rates_deg_s
+    # a roll of half a degree mixes one rate into the others by a hundredth
+    assert told == pytest.approx((rates[2], rates[1], rates[0]), abs=0.05)
+
+
+def test_rates_that_are_not_measured_are_unknown() -> None:
+    rates = Rates(0.5, -0.25, 2.0)
+    pitch, roll, yaw = gimbal_sample(turning_285(-30.0, 0.0, rates, delta_yaw_velocity=None), 0.0).axis_rates_deg_s
+    assert (pitch, roll) == pytest.approx((2.0, -0.25))
+    assert math.isnan(yaw), "the vehicle's own rate is not told"
+    nothing = {f"angular_velocity_{axis}": 0.0 for axis in "xyz"}
+    for changes in (nothing, {"angular_velocity_z": None}):
+        sample = gimbal_sample(fields_285(delta_yaw_velocity=0.1) | changes, 0.0)
+        assert all(math.isnan(rate) for rate in sample.axis_rates_deg_s)
 
 
 @pytest.mark.parametrize("changes", [{}, {"delta_yaw_velocity": None}, {"delta_yaw_velocity": 0.0}])
