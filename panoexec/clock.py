@@ -71,6 +71,7 @@ class VehicleClock:
         on_work: called on the loop when work begins.
         look_at_s: time from which `on_told` is called in any case.
         allowed_s: the latest time up to which the vehicle was allowed to run.
+        between: the time now as estimated since the vehicle last told it, where it does not wait for anybody.
     """
 
     def __init__(self, start_s: float = 0.0) -> None:
@@ -78,6 +79,7 @@ class VehicleClock:
         self.on_work: Callable[[], None] = lambda: None
         self.look_at_s = math.inf
         self.allowed_s = start_s
+        self.between: Callable[[], float] | None = None
         self._now_s = start_s
         self._sleepers: list[tuple[float, int, asyncio.Future[None]]] = []
         self._number = itertools.count()
@@ -86,6 +88,8 @@ class VehicleClock:
 
     def monotonic(self) -> float:
         """See `Clock.monotonic`."""
+        if self.between is not None:
+            self._go_on(self.between())
         return self._now_s
 
     def time(self) -> float:

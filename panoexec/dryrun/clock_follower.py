@@ -3,6 +3,9 @@
 ArduPilot's SITL runs at its configured speed-up, or as fast as the computer permits, and cannot be paused. So the
 mission's time is the autopilot's (SYSTEM_TIME, 2), which keeps timeouts consistent with simulated time; and where a
 command takes too long in simulated seconds, the speed-up is reduced (`SIM_SPEEDUP`), and raised again later.
+
+The autopilot tells its time 50 times a second. In between, the clock goes on at the rate of the last second, by no more
+than to the next message: a vehicle is seen and triggered to some milliseconds, as on the clock of a real mission.
 """
 
 from __future__ import annotations
@@ -10,7 +13,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
+from collections import deque
 from collections.abc import Awaitable, Callable, Iterator
+from time import monotonic
 from typing import Final
 
 import structlog
@@ -24,6 +29,10 @@ from panoexec.errors import DeviceError
 AUTOPILOT: Final = 1
 TIME_STREAM: Final = Stream(message_id=2, name="SYSTEM_TIME", rate_hz=50.0, idle_rate_hz=50.0)
 _REBOOT_S: Final = 1.0
+_RATE_FROM_S: Final = 1.0
+_BETWEEN_S: Final = 0.9 / TIME_STREAM.rate_hz
+"""How far the clock goes on without a message: a silent autopilot has no time."""
+_TICK_S: Final = 0.004
 _LOOK_S: Final = 0.25
 _SILENT_LOOKS: Final = 20
 
@@ -75,6 +84,8 @@ class ClockFollower:
         self._newest_s = -math.inf
         self._told = 0
         self._began_s = math.nan
+        self._heard: deque[tuple[float, float]] = deque()  # real time, vehicle time
+        self._ticker: asyncio.TimerHandle | None = None
 
     @contextlib.contextmanager
     def following(self, link: MessageSource) -> Iterator[None]:
@@ -82,14 +93,18 @@ class ClockFollower:
         self._loop = asyncio.get_running_loop()
         self._clock.on_told, self._clock.on_work = self._wake, self._work_begins
         off = link.on(TIME_STREAM.name, self._hear)
+        self._clock.between = self._between
         self._watch(self._loop.time(), 0, 0)
+        self._tick()
         try:
             yield
         finally:
             off()
             self._clock.on_told = self._clock.on_work = lambda: None
-            if self._timer is not None:
-                self._timer.cancel()
+            self._clock.between = None
+            for timer in (self._timer, self._ticker):
+                if timer is not None:
+                    timer.cancel()
             if self._setting is not None:
                 self._setting.cancel()
 
@@ -112,14 +127,36 @@ class ClockFollower:
             self._offset_s, self._newest_s = self._clock.monotonic() - stamp_s, stamp_s
         self._newest_s = max(self._newest_s, stamp_s)
         self._told += 1
-        self._clock.tell(stamp_s + self._offset_s)
+        now_s = stamp_s + self._offset_s
+        self._heard.append((monotonic(), now_s))
+        while self._heard[-1][0] - self._heard[0][0] > _RATE_FROM_S:
+            self._heard.popleft()
+        self._clock.tell(now_s)
 
     def _wake(self) -> None:
         if self._loop is not None:
             with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
                 self._loop.call_soon_threadsafe(self._turn)
 
+    def _between(self) -> float:
+        """The time now, as far as it can be told; from any thread."""
+        heard = tuple(self._heard)
+        if len(heard) < 2:
+            return -math.inf
+        (first_s, began_s), (last_s, told_s) = heard[0], heard[-1]
+        if last_s - first_s < _RATE_FROM_S / 2 or told_s <= began_s:
+            return -math.inf
+        rate = (told_s - began_s) / (last_s - first_s)
+        return told_s + min(rate * (monotonic() - last_s), _BETWEEN_S)
+
     # --- on the event loop
+
+    def _tick(self) -> None:
+        """Wake those whose time comes between two messages."""
+        assert self._loop is not None
+        if self._clock.next_s < math.inf:
+            self._clock.tell(self._between())
+        self._ticker = self._loop.call_later(_TICK_S, self._tick)
 
     def _turn(self) -> None:
         self._clock.wake()

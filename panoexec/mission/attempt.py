@@ -147,18 +147,23 @@ class Shooter:
             vehicle_pans=self._vehicle_pans,
             commanded_s=commanded_s,
             bound_s=bound_s,
+            on_settled=lambda: self._slew_ended(shot, commanded_s, settled=True) == "" and self.slews.verifiable,
         )
         done, settled_s = await until(wait.timed_out(), wait.settled(clear), f"settle shot {shot.index}")
-        settled = done and settled_s is not None
-        if not settled:
+        foreign = ""
+        if not done or settled_s is None:
             wait.read()
-        foreign = self.slews.ended(shot, commanded_s, settled=settled, nose_since_s=self._nose_since_s(commanded_s))
+            foreign = self._slew_ended(shot, commanded_s, settled=False)
         unverifiable = self.slews.unverifiable()
         if unverifiable is not None:
             return unverifiable
         if settled_s is not None:
             return Settled(commanded_s=commanded_s, settled_s=settled_s)
         return NotSettled(code="foreign", reason=foreign) if foreign else self._not_settled(tracker, bound_s)
+
+    def _slew_ended(self, shot: Shot, commanded_s: float, *, settled: bool) -> str:
+        """See `SlewWatch.ended`."""
+        return self.slews.ended(shot, commanded_s, settled=settled, nose_since_s=self._nose_since_s(commanded_s))
 
     def _settle_limits(self) -> SettleLimits:
         """What settled means: a nose never comes to rest, and is judged by what the exposure needs of it."""

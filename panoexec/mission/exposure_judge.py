@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
+
+import numpy as np
 
 from panoexec.clock import Clock
 from panoexec.devices import AttitudeFeed, Camera, CaptureEvidence, EvidenceLevel, PendingCapture
 from panoexec.errors import DeviceError
 from panoexec.mission.attempt_result import Exposure
 from panoexec.mission.dated_exposure import ShutterLag, has_window, window
+from panoexec.mission.pointing.fitted_pose import BESIDE_S, fits
 from panoexec.mission.pointing.poses import PoseReader
 from panoexec.mission.pointing.tolerance_gate import Target, WindowVerdict, allowed_gap_s, judge_window
-from panoexec.mission.pointing.unseen_motion import HEADING_LAG_S
+from panoexec.mission.pointing.unseen_motion import DENSE_GAP_S, HEADING_LAG_S
 from panoexec.mission.protocols import ReportsPhotos
 from panoexec.mission.settings import MissionSettings
 from panoexec.mission.slew_watch import SlewWatch
 from panoexec.mission.waiting import within
+from panoexec.planning.geometry.pose_error import pose_error
 from panoexec.planning.model import Shot, Tolerance
 
 LATE_SAMPLES_S: Final = 0.5
@@ -109,12 +114,26 @@ class ExposureJudge:
         dated = window(found, capture.commanded_s, self.settings)
         near = self.target(shot, tolerance=_wider(self.settings.tolerance))
         age_s = self.slews.report_age_s
-        if not self._judge(near, min(start_s, dated[0]), max(end_s, dated[1]) + age_s).ok:
-            return whole, set()
+        near_ok = self._judge(near, min(start_s, dated[0]), max(end_s, dated[1]) + age_s).ok
         open_ = await self.judge(shot, *opening)
-        if not open_.ok:
-            return whole, set()
-        return replace(open_, reason=f"{whole.reason} while the shutter was closed"), {dated}
+        if near_ok and open_.ok:
+            return replace(open_, reason=f"{whole.reason} while the shutter was closed"), {dated}
+        if near_ok and open_.code == "pointing" and not age_s and self._fits(shot, *opening):
+            why = f"{whole.reason} by its noise: the readings together prove the pose"
+            return replace(open_, ok=True, code="", reason=why), {dated}
+        return whole, set()
+
+    def _fits(self, shot: Shot, start_s: float, end_s: float) -> bool:
+        """Whether a curve through the readings proves the pose from a time until another (`fitted_pose`)."""
+        if self.vehicle_pans():
+            return False
+        readings = [reading for reading in self.poses.since(start_s - BESIDE_S) if reading.time_s <= end_s + BESIDE_S]
+        usable = [reading.rotation for reading in readings if reading.rotation is not None]
+        gaps_s = [after.time_s - before.time_s for before, after in itertools.pairwise(readings)]
+        if len(usable) < max(len(readings), 1) or max(gaps_s, default=0.0) > DENSE_GAP_S:
+            return False
+        errors = pose_error(shot.pitch_deg, shot.yaw_deg, np.stack(usable))
+        return fits(readings, errors, self.settings.tolerance, start_s=start_s, end_s=end_s)
 
     async def judge_date(
         self, shot: Shot, found: CaptureEvidence, commanded_s: float, exposure: Exposure

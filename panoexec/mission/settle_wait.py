@@ -32,6 +32,8 @@ class SettleWait:
         vehicle_pans: the vehicle's heading sets the camera's yaw.
         commanded_s: when the pose was commanded.
         bound_s: the settle timeout.
+        on_settled: called once, when the pose is settled for the first time; False: nothing may be triggered. There is
+            done what takes time, so that the trigger follows the last look at the pose at once.
     """
 
     poses: PoseReader
@@ -43,9 +45,13 @@ class SettleWait:
     vehicle_pans: bool
     commanded_s: float
     bound_s: float
+    on_settled: Callable[[], bool] = lambda: True
     _deadline_s: float = field(init=False)
     _newest_s: float = field(init=False)
     _trigger_held: bool = field(default=False, init=False)
+    _awaits_calm: bool = field(default=False, init=False)
+    was_settled: bool = field(default=False, init=False)
+    """Whether `on_settled` was called."""
 
     def __post_init__(self) -> None:
         """Nothing was read yet."""
@@ -72,11 +78,21 @@ class SettleWait:
             if controller is not None and math.isnan(tracker.inside_since_s) and controller.is_off(now_s):
                 await controller.correct()
             if not tracker.is_settled(now_s):
+                self._awaits_calm = False
                 await self._samples(now_s)
+                continue
+            if not self.was_settled:
+                self.was_settled = True
+                if not self.on_settled():
+                    return tracker.settled_at_s
                 continue
             blocker, left_s = clear(), max(self.next_trigger_s(), turn_ends_at_s) - self.clock.monotonic()
             if blocker is None and left_s <= 0:
-                return max(tracker.settled_at_s, free_s)
+                self._awaits_calm = not tracker.is_calm(now_s)
+                if not self._awaits_calm:
+                    return max(tracker.settled_at_s, free_s)
+                await self.feed.newer_than(self._newest_s)
+                continue
             self._trigger_held = True
             if blocker is not None:
                 await blocker.wait()
@@ -92,7 +108,8 @@ class SettleWait:
         while True:
             await self.clock.sleep(max(self._deadline_s - self.clock.monotonic(), _LEAST_SLEEP_S))
             now_s = self.clock.monotonic()
-            if now_s >= self._deadline_s and not self._trigger_held and not self.tracker.is_settled(now_s):
+            ready = self.tracker.is_settled(now_s) and not self._awaits_calm
+            if now_s >= self._deadline_s and not self._trigger_held and not ready:
                 return
 
     def read(self) -> None:

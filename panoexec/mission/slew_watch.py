@@ -47,6 +47,7 @@ class SlewWatch:
     nose: NoseHold = field(default_factory=NoseHold)
     _late_before_s: float = field(default=0.0, init=False)
     _late_at_slew_s: float = field(default=0.0, init=False)
+    _seen_s: float = field(default=math.nan, init=False)
 
     def begins(self) -> None:
         """A slew is about to be commanded."""
@@ -54,6 +55,8 @@ class SlewWatch:
 
     def ended(self, shot: Shot, commanded_s: float, *, settled: bool, nose_since_s: float | None) -> str:
         """Learn from a slew whether the gimbal measures, and whether it rests where it was told.
+
+        A pose that was settled and is not any more is told twice; its slew counts once.
 
         Args:
             shot: its target.
@@ -66,15 +69,17 @@ class SlewWatch:
         """
         readings = self.poses.since(commanded_s - BEFORE_SLEW_S)
         pitch_deg, yaw_deg = shot.pitch_deg, shot.yaw_deg
-        shows_age = self.echo.slew(
-            readings,
-            commanded_s=commanded_s,
-            pitch_deg=pitch_deg,
-            yaw_deg=yaw_deg,
-            yaw_follows=nose_since_s is not None,
-        )
-        if shows_age:
-            self._late_at_slew_s = self._late_before_s
+        if commanded_s != self._seen_s:
+            self._seen_s = commanded_s
+            shows_age = self.echo.slew(
+                readings,
+                commanded_s=commanded_s,
+                pitch_deg=pitch_deg,
+                yaw_deg=yaw_deg,
+                yaw_follows=nose_since_s is not None,
+            )
+            if shows_age:
+                self._late_at_slew_s = self._late_before_s
         if settled:
             self.steady_error.settled()
             self.foreign.settled()
@@ -88,6 +93,11 @@ class SlewWatch:
             at_rest = error_at_rest(readings, pitch_deg=pitch_deg, yaw_deg=yaw_deg)
             self.steady_error.failed(at_rest, pitch_deg=pitch_deg, yaw_deg=yaw_deg)
         return ""
+
+    @property
+    def verifiable(self) -> bool:
+        """Whether exposures can be verified by the gimbal's reports; see `unverifiable`."""
+        return self.unverifiable() is None
 
     def unverifiable(self) -> NotSettled | None:
         """Why no exposure can be verified by the gimbal's reports, as its slews have shown; None if it can."""

@@ -22,6 +22,7 @@ class Autopilot:
         version: how its version begins.
         hold: base mode, main and sub mode (DO_SET_MODE) in which a mission may be flown.
         rtl: the same of the return to launch.
+        land: the same of the landing.
         gps: parameter that takes the GPS away, its values without and with GPS, and whether it is an integer.
         locks: whether it leaves a lock file and a socket in /tmp.
     """
@@ -31,6 +32,7 @@ class Autopilot:
     version: str
     hold: tuple[float, float, float]
     rtl: tuple[float, float, float]
+    land: tuple[float, float, float]
     gps: tuple[str, float, float, bool]
     locks: bool
 
@@ -44,6 +46,7 @@ ARDUCOPTER = Autopilot(
     version="4.",
     hold=(1, 4, 0),
     rtl=(1, 6, 0),
+    land=(1, 9, 0),
     gps=("SIM_GPS1_ENABLE", 0, 1, False),
     locks=False,
 )
@@ -53,6 +56,7 @@ PX4 = Autopilot(
     version="1.",
     hold=(1, 4, 3),
     rtl=(1, 4, 5),
+    land=(1, 4, 6),
     gps=("SIM_GPS_USED", 0, 10, True),
     locks=True,
 )

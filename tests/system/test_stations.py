@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
-import json
 import signal
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -15,17 +13,15 @@ from typing import Any
 from panoexec.dryrun.firmware import free_udp_ports
 from panoexec.sim.config import AirframeConfig, AutopilotKind, SimConfig
 from panoexec.sim.process import running_simulator
-from tests.system.daemon import Ground, ground_station, ready, serving
+from tests.system.daemon import ground_station
 from tests.system.mission_pilot import Pilot
-from tests.wire.broker import Broker, needs_mosquitto, running_broker
+from tests.system.station_flights import EMBEDDED_SPEEDUP as SPEEDUP
+from tests.system.station_flights import FLOWN, HEIGHT_M, Daemon
+from tests.wire.broker import needs_mosquitto, running_broker
 from tests.wire.mission_conversation import DIGICAM, LATITUDE, LONGITUDE, TAKEOFF, WAYPOINT, item, offset
 
 pytestmark = needs_mosquitto
 
-SPEEDUP = 4.0
-FLOWN = {"complete", "incomplete"}
-"""On a machine that is busy with other things, a shot may be missing: these tests are about the mission."""
-HEIGHT_M = 20.0
 HOLD_S = 30.0
 CONFIG = """[presets.small]
 elevation_deg = [-10, 15]
@@ -63,40 +59,15 @@ def two_stations(
 
 
 @dataclass(kw_only=True)
-class Flight:
+class Flight(Daemon):
     """A daemon, its vehicle, its pilot and its ground station."""
 
-    folder: Path
-    broker: Broker
-    ports: tuple[int, int]
     pilot: Pilot
-    ground: Ground
-    more: str
-
-    @asynccontextmanager
-    async def daemon(self) -> AsyncIterator[asyncio.subprocess.Process]:
-        async with serving(self.folder, self.broker, self.ports[1], more=self.more, speedup=SPEEDUP) as process:
-            await ready(self.ground)
-            yield process
-
-    @property
-    def tour(self) -> dict[str, Any]:
-        """The newest tour's file."""
-        paths = sorted((self.folder / "data" / "tours").glob("tour-*.json"))
-        return dict(json.loads(paths[-1].read_text())) if paths else {"stops": []}
 
     def closed(self) -> int:
-        """How many stops are over."""
+        """How many stops are over, as the ground station hears."""
         tour = self.ground.state.get("tour") or {}
         return int(tour.get("done", 0)) + int(tour.get("skipped", 0))
-
-    @property
-    def outcomes(self) -> list[tuple[int, str]]:
-        return [(stop["waypoint"], stop["outcome"]) for stop in self.tour["stops"]]
-
-    def manifests(self) -> list[dict[str, Any]]:
-        paths = sorted((self.folder / "data" / "missions").glob("*/manifest.json"))
-        return [json.loads(path.read_text()) for path in paths]
 
 
 @asynccontextmanager
@@ -115,19 +86,25 @@ async def flight(
         async with running_simulator(config), ground_station(broker) as ground:
             await pilot.upload(items)
             yield Flight(
-                folder=folder, broker=broker, ports=(near, far), pilot=pilot, ground=ground, more=CONFIG + more
+                folder=folder,
+                broker=broker,
+                port=far,
+                ground=ground,
+                more=CONFIG + more,
+                speedup=SPEEDUP,
+                pilot=pilot,
             )
 
 
 async def test_each_station_gets_its_panorama_also_when_the_daemon_is_killed(tmp_path: Path) -> None:
     async with flight(tmp_path, two_stations(hold_s=60.0)) as flown:
-        async with flown.daemon() as process:
+        async with flown.running() as process:
             await flown.pilot.until(lambda: "Pano: 2 stations in this mission" in flown.pilot.said.texts)
             await flown.pilot.mode("auto")
             await flown.ground.until(lambda: flown.ground.state["state"] == "capturing")
             process.send_signal(signal.SIGKILL)
             await process.wait()
-        async with flown.daemon():
+        async with flown.running():
             await flown.ground.until(lambda: flown.closed() == 2)
             await flown.ground.until(lambda: flown.pilot.said.current[-1:] == [6])
         assert [waypoint for waypoint, outcome in flown.outcomes if outcome in FLOWN] == [2, 4]
@@ -145,7 +122,7 @@ async def test_each_station_gets_its_panorama_also_when_the_daemon_is_killed(tmp
 
 async def test_the_pilot_takes_over_and_the_panorama_pauses(tmp_path: Path) -> None:
     """And goes on when the pilot flies the mission again: nothing is told to the autopilot from then on."""
-    async with flight(tmp_path, two_stations()) as flown, flown.daemon():
+    async with flight(tmp_path, two_stations()) as flown, flown.running():
         await flown.pilot.mode("auto")
         await flown.ground.until(lambda: flown.ground.state["state"] == "capturing")
         await flown.pilot.mode("loiter")
@@ -163,7 +140,7 @@ async def test_the_pilot_takes_over_and_the_panorama_pauses(tmp_path: Path) -> N
 async def test_px4s_hold_times_are_waited_for_and_cut_short(tmp_path: Path) -> None:
     items = two_stations(kind="px4", hold_s=60.0, presets=(1, 3))
     items[3] = item(3, WAYPOINT, 10.0, at=offset(24, 0), z=HEIGHT_M)
-    async with flight(tmp_path, items, autopilot="px4") as flown, flown.daemon():
+    async with flight(tmp_path, items, autopilot="px4") as flown, flown.running():
         await flown.pilot.mode("auto")
         await flown.ground.until(lambda: flown.pilot.said.current[-1:] == [5])
         await flown.ground.until(lambda: flown.closed() == 2)

@@ -30,7 +30,7 @@ _RELATED_S: Final = 0.5
 """Longest wait for an answer (real seconds) that relates the clocks."""
 _SYNCHRONISE_S: Final = 4.0
 """A stamp of the camera's clock that is older than this (mission seconds) is asked for anew at the next photo."""
-_BOUND_S: Final = 4.0
+_BOUND_S: Final = 1.0
 """So is an answer to such a request, after the next report: stamps that others asked for bound nothing."""
 
 _log = structlog.get_logger(__name__)

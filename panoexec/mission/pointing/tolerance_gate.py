@@ -138,16 +138,19 @@ class SettleTracker:
         return min(self._limits.settle_s, self._limits.again_s) if self._held else self._limits.settle_s
 
     def is_settled(self, now_s: float) -> bool:
-        """Whether every sample has been inside tolerance, and slow, for the settle time, and the newest is fresh.
+        """Whether every sample has been inside tolerance, and slow, for the settle time, and the newest is fresh."""
+        return self.settled_at_s <= now_s + 1e-9 and not self.is_stale(now_s)
 
-        Nor is a gust about to take the pose out of the tolerance.
+    def is_calm(self, now_s: float) -> bool:
+        """Whether no gust is about to take a pose out of the tolerance that is settled, and may be triggered now.
+
+        Asked when nothing else holds the trigger: how long a calm moment is waited for counts from the first time.
         """
-        if not self.settled_at_s <= now_s + 1e-9 or self.is_stale(now_s):
-            return False
-        if self._limits.gust_s and self._foresight.is_gusty(self._limits.gust_s):
-            self._leaving_s = self._newest
-            return False
-        return True
+        age_s = max(0.0, now_s - self._newest)
+        if not self._limits.gust_s or not self._foresight.is_gusty(self._limits.gust_s + age_s):
+            return True
+        self._leaving_s = self._newest
+        return False
 
     @property
     def error(self) -> PoseError | None:

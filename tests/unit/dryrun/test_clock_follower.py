@@ -104,3 +104,30 @@ def test_speedup_is_never_below_real_time_and_recovers() -> None:
     for _ in range(20):
         slow.record(2.0)
     assert slow.speed == 0.5
+
+
+async def test_between_two_messages_the_clock_goes_on_at_the_autopilots_pace(monkeypatch: pytest.MonkeyPatch) -> None:
+    real_s = 100.0
+    monkeypatch.setattr("panoexec.dryrun.clock_follower.monotonic", lambda: real_s)
+    clock, autopilot = VehicleClock(), Autopilot()
+    with ClockFollower(clock).following(autopilot):
+        for number in range(60):  # at twice real time
+            autopilot.tell(7.0 + 0.02 * number)
+            real_s += 0.01
+        told_s = 7.0 + 0.02 * 59
+        assert clock.monotonic() == pytest.approx(told_s + 0.018), "no further than to the next message"
+        autopilot.tell(told_s + 0.02)
+        real_s += 0.004
+        assert clock.monotonic() == pytest.approx(told_s + 0.02 + 0.008)
+        before_s = clock.monotonic()
+        real_s += 3.0
+        assert clock.monotonic() == pytest.approx(told_s + 0.02 + 0.018), "a silent autopilot has no time"
+        autopilot.tell(told_s + 0.024)  # late: time does not go back
+        assert clock.monotonic() >= before_s
+        sleeping = asyncio.create_task(clock.sleep(0.02))
+        async with asyncio.timeout(20):
+            for _ in range(3):
+                await asyncio.sleep(0)
+            autopilot.tell(told_s + 0.05)
+            real_s += 0.004
+            await sleeping

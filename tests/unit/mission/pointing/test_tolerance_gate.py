@@ -221,7 +221,7 @@ def test_a_gust_that_is_about_to_take_the_pose_out_is_waited_for() -> None:
         for i in range(60):
             now_s = 0.02 * i
             tracker.add(reading_at(now_s, yaw=gust(now_s)))
-            if tracker.is_settled(now_s):
+            if tracker.is_settled(now_s) and tracker.is_calm(now_s):
                 assert tracker.settled_at_s == pytest.approx(now_s, abs=0.021)
                 return now_s
         return math.nan

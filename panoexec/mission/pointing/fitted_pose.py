@@ -1,0 +1,63 @@
+"""Judges an exposure by a curve through its readings instead of each reading: encoders have noise.
+
+A camera at 0.07° beside its target is inside a tolerance of 0.1°, but one of four readings with 0.017° of noise is
+outside in every sixth exposure. A parabola through seven readings or more knows the pose to half of that noise. It
+proves the pose if it is inside together with twice its own standard error, which follows from how far the readings
+are from it. Readings that are farther from it than noise is are a motion, and no parabola: then they count themselves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from panoexec.angles import FloatArray
+from panoexec.mission.pointing.poses import Reading
+from panoexec.planning.geometry.pose_error import PoseError
+from panoexec.planning.model import Tolerance
+
+BESIDE_S: Final = 0.07
+"""Readings of so long before and after an exposure tell of the pose in it; gusts turn about within twice of it."""
+LEAST_READINGS: Final = 7
+STANDARD_ERRORS: Final = 2.0
+"""The curve must be inside the tolerance with so many of its standard errors."""
+NOISE_DEG: Final = 0.03
+"""Largest noise of encoders, standard deviation: what is more is a motion."""
+_DEGREE: Final = 2
+_STEP_S: Final = 0.005
+
+
+def fits(readings: Sequence[Reading], errors: PoseError, tolerance: Tolerance, *, start_s: float, end_s: float) -> bool:
+    """Whether a curve through the readings proves the pose from a time until another.
+
+    Args:
+        readings: oldest first, all with a rotation, of the exposure and `BESIDE_S` beside it, where the camera was to
+            look at the same target.
+        errors: theirs, (n,).
+        tolerance: of each axis.
+        start_s: of the exposure.
+        end_s: its end.
+    """
+    times = np.array([reading.time_s for reading in readings])
+    if len(times) < LEAST_READINGS or not times[0] <= start_s <= end_s <= times[-1]:
+        return False
+    middle_s = (start_s + end_s) / 2
+    within = np.linspace(start_s, end_s, max(2, math.ceil((end_s - start_s) / _STEP_S)))
+    fit = np.linalg.pinv(_powers(times - middle_s))
+    curve, through = _powers(within - middle_s) @ fit, _powers(times - middle_s) @ fit
+    error_of_curve = np.sqrt((curve**2).sum(axis=1))
+    limits = (tolerance.pitch_deg, tolerance.roll_deg, tolerance.yaw_deg)
+    for values, limit in zip((errors.pitch_deg, errors.roll_deg, errors.yaw_deg), limits, strict=True):
+        left = np.asarray(values) - through @ values
+        noise_deg = math.sqrt(float(left @ left) / (len(times) - _DEGREE - 1))
+        bound = np.abs(curve @ values) + STANDARD_ERRORS * noise_deg * error_of_curve
+        if noise_deg > NOISE_DEG or float(bound.max()) > limit:
+            return False
+    return True
+
+
+def _powers(times: FloatArray) -> FloatArray:
+    return np.vander(times, _DEGREE + 1, increasing=True)
