@@ -7,8 +7,9 @@ import contextlib
 import logging
 import os
 import socket
+import threading
 import uuid
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Any, Final, Self, TypeVar
 
@@ -75,6 +76,7 @@ class BrokerClient(aiomqtt.Client):
         self._codes: dict[int, int] = {}
         self._trouble = _Trouble()
         self._abandoned = False
+        self._loop_thread = threading.get_ident()
         logger = logging.Logger("mqtt")  # noqa: LOG001  (a logger per connection)
         logger.addHandler(self._trouble)
         logger.setLevel(self._trouble.level)  # paho logs every packet at debug level
@@ -199,10 +201,27 @@ class BrokerClient(aiomqtt.Client):
         super()._on_publish(client, userdata, mid, reason_code, properties)
 
     def _on_socket_open(self, client: Any, userdata: Any, sock: Any) -> None:
-        if self._abandoned:  # connected in its thread after the cancellation
-            sock.close()
-            return
-        super()._on_socket_open(client, userdata, sock)
+        self._unless_abandoned(super()._on_socket_open, client, userdata, sock)
+
+    def _on_socket_register_write(self, client: Any, userdata: Any, sock: Any) -> None:
+        self._unless_abandoned(super()._on_socket_register_write, client, userdata, sock)
+
+    def _unless_abandoned(self, register: Callable[..., None], client: Any, userdata: Any, sock: Any) -> None:
+        """Register a socket with the loop, in the loop's thread: the one that connects may go on after a cancellation.
+
+        The loop would then be given a descriptor that is closed, or belongs to something else.
+        """
+
+        def here() -> None:
+            if self._abandoned:
+                sock.close()
+            elif sock.fileno() >= 0:
+                register(client, userdata, sock)
+
+        if threading.get_ident() == self._loop_thread:
+            here()
+        else:
+            self._loop.call_soon_threadsafe(here)
 
     def _acknowledge_at_once(self) -> None:
         """Send the TCP acknowledgement of the received data immediately.
