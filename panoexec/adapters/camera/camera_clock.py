@@ -8,6 +8,7 @@ was stamped after the request was sent, so its delay is not longer than the roun
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import deque
 from collections.abc import Iterable
@@ -174,11 +175,11 @@ class CameraClock:
         if stepped or self._suspect is not None:
             return unknown
         ends: list[tuple[float, int]] = []
+        slowest, fastest = self._rate_bounds()
         for known_s, asked_s, answered_s in self._trips:
             apart_s = stamp_s - known_s
-            error_s = self._rate_error * abs(apart_s)
-            ends.append((asked_s + self._rate * apart_s - error_s, 1))
-            ends.append((answered_s + self._rate * apart_s + error_s, -1))
+            ends.append((asked_s + min(slowest * apart_s, fastest * apart_s), 1))
+            ends.append((answered_s + max(slowest * apart_s, fastest * apart_s), -1))
         enough, covered, allowed = self.trips - self.trips // 5, 0, []
         for time_s, step in sorted(ends, key=lambda end: (end[0], -end[1])):
             if max(covered, covered + step) >= enough:
@@ -187,6 +188,27 @@ class CameraClock:
         if not allowed or allowed[0] > received_s or allowed[-1] - allowed[0] > _TIGHT_S:
             return unknown
         return allowed[0], min(allowed[-1], received_s)
+
+    def _rate_bounds(self) -> tuple[float, float]:
+        """Bounds of the rate: as estimated, and as two round trips that are far apart leave it open.
+
+        A message that nobody asked for may have cut a trip short, so again all but a fifth of the pairs decide.
+        """
+        slowest, fastest = self._rate - self._rate_error, self._rate + self._rate_error
+        span_s = self._trips[-1][0] - self._trips[0][0]
+        low, high = [], []
+        for (early_s, asked_s, answered_s), (late_s, asked_again_s, answered_again_s) in itertools.combinations(
+            self._trips, 2
+        ):
+            apart_s = late_s - early_s
+            if apart_s >= max(span_s / 2, _SHORTEST_SPAN_S):
+                low.append((asked_again_s - answered_s) / apart_s - _DRIFT)
+                high.append((answered_again_s - asked_s) / apart_s + _DRIFT)
+        if len(low) < ENOUGH_TRIPS:
+            return slowest, fastest
+        few = len(low) // 5
+        told = max(slowest, sorted(low)[-1 - few]), min(fastest, sorted(high)[few])
+        return told if told[0] <= told[1] else (slowest, fastest)
 
     @property
     def resolution_s(self) -> float:

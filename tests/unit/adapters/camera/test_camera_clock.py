@@ -83,6 +83,22 @@ def test_nothing_is_bounded_by_few_round_trips_coarse_stamps_or_after_a_step() -
     assert not math.isfinite(stepped.bounds(46.0, 38.1)[0])
 
 
+@pytest.mark.parametrize("rate", [0.97, 1.0, 1.03])
+def test_round_trips_bound_the_rate_too_where_other_messages_come_often(rate: float) -> None:
+    """Those push the older ones out of what the rate is estimated from."""
+    clock, rng, widths_s = CameraClock(), random.Random(3), []
+    for number in range(200):
+        sent_s = 0.2 * number + 0.013
+        asked_s = sent_s - rng.uniform(0.003, 0.006) if number % 10 == 0 else math.nan
+        clock.note(500 + rate * sent_s, sent_s + rng.uniform(0.003, 0.006), asked_s=asked_s)
+        if number > 60:
+            earliest_s, latest_s = clock.bounds(500 + rate * (sent_s + 0.1), sent_s + 0.2)
+            assert earliest_s - 1e-6 <= sent_s + 0.1 <= latest_s + 1e-6
+            widths_s.append(latest_s - earliest_s)
+    assert max(widths_s) < 0.025
+    assert sum(widths_s) / len(widths_s) < 0.015
+
+
 @pytest.mark.parametrize("step_s", [-300.0, -3.0, -0.7, 0.7, 3.0, 300.0])
 def test_two_messages_after_a_step_relate_the_clocks_anew(step_s: float) -> None:
     clock = CameraClock()
