@@ -233,9 +233,11 @@ def _tell(folder: Path, mqtt_port: int, page_port: int) -> None:
         f"""a simulated drone hovers at 30 m and waits for its panorama
 
   page      http://127.0.0.1:{page_port}/v/{VEHICLE}
-  or        panoexec start --preset front {where}
-            panoexec watch {where}
   missions  {folder / "flown" / "missions"}
+
+or from another terminal:
+  panoexec start --preset front {where}
+  panoexec watch {where}
 
 Ctrl-C ends everything."""
     )

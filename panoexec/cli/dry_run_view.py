@@ -7,7 +7,7 @@ import sys
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from panoexec.cli.output import console, has_colours, minutes, note, print_facts
+from panoexec.cli.output import console, counted, has_colours, minutes, note, print_facts
 from panoexec.cli.sphere_map import Mark, SphereMap, marks_of, size_for
 from panoexec.dryrun.run import DryRunSummary
 from panoexec.mission.executor import Mission
@@ -149,7 +149,7 @@ class MissionView:
             return "connecting"
         left = mission.eta_s
         parts = [
-            f"{mission.record.retakes} retakes",
+            counted(mission.record.retakes, "retake"),
             f"error {_degrees(_error_deg(mission))}",
             f"{minutes(left)} left" if math.isfinite(left) else "",
         ]

@@ -158,12 +158,16 @@ def _started(data: Data, vehicle: str) -> str:
     return f"{text}; {proven}"
 
 
-def _stopped(done: str) -> Callable[[Data, str], str]:
+def _stopped(does: str, done: str, state: str) -> Callable[[Data, str], str]:
+    """What is said of a stop: that it is done where the mission is in that state, else what the mission does."""
+
     def sentence(data: Data, vehicle: str) -> str:
         if data.get("mission_id") is None:
             text = f"{vehicle}: no mission had begun; the start is called off"
-        else:
+        elif data.get("state") == state:
             text = f"{vehicle}: mission {data['mission_id']} {done}"
+        else:
+            text = f"{vehicle}: mission {data['mission_id']} {does}"
             text += f" (it is {data['state']})" if data.get("state") else ""
         lasts = "" if data.get("durable", True) else "; not on disk: it would not outlive a restart of the computer"
         return text + lasts
@@ -232,7 +236,7 @@ VERBS: Final[Mapping[str, Verb]] = MappingProxyType(
                 text="Hold a mission after the current photo, until `resume`.",
                 declare=_of_stop,
                 fields=_reason,
-                sentence=_stopped("pauses"),
+                sentence=_stopped("pauses after the current photo", "is paused", "paused"),
             ),
             Verb(
                 name="resume",
@@ -264,7 +268,7 @@ VERBS: Final[Mapping[str, Verb]] = MappingProxyType(
                 text="End shooting and accept the gaps; exports and report are written.",
                 declare=_of_stop,
                 fields=_reason,
-                sentence=_stopped("finishes"),
+                sentence=_stopped("finishes", "finishes", "finishing"),
             ),
             Verb(
                 name="abort",
@@ -272,7 +276,7 @@ VERBS: Final[Mapping[str, Verb]] = MappingProxyType(
                 text="End a mission for good, at once.",
                 declare=_of_stop,
                 fields=_reason,
-                sentence=_stopped("is aborted"),
+                sentence=_stopped("ends for good", "is aborted", "aborted"),
             ),
             Verb(
                 name="status",

@@ -12,7 +12,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from panoexec.cli.output import minutes
+from panoexec.cli.output import counted, minutes
 from panoexec.mqtt.senders import received
 
 if TYPE_CHECKING:
@@ -161,6 +161,8 @@ class Watched:
             self.last = f"{kind.replace('_', ' ')}{f': {told}' if told else ''}"
             return
         key = event["shot"], event["attempt"]
+        if kind not in _VERDICTS and key not in self.attempts:
+            return  # of a photo whose attempt was over before anybody watched: there is nothing to say in its line
         one = self.attempts.setdefault(key, Attempt(shot=key[0], number=key[1]))
         one.verdict = _VERDICTS.get(kind, one.verdict)
         if kind == "shot_started":
@@ -200,7 +202,7 @@ def mission_view(
         eta = state.get("eta_s")
         texts = (
             f"{done}/{total}",
-            f"{state.get('retakes', 0)} retakes",
+            counted(state.get("retakes") or 0, "retake"),
             "" if eta is None else f"{minutes(eta)} left",
         )
         width = min(_BAR, max(6, room[0] - sum(len(text) + 2 for text in texts))) if room[0] else _BAR

@@ -96,7 +96,7 @@ async def operates(broker: Broker) -> None:
     assert begins, out
     code, out, err = await outcome("pause", "rain", *where)
     assert code == 0, err
-    assert re.match(r"drone: mission \S+ pauses \(it is \w+\)\n", out)
+    assert re.match(r"drone: mission \S+ (is paused|pauses after the current photo \(it is \w+\))\n", out)
     code, out, _ = await outcome("status", *where)
     assert code == 0
     assert re.search(r'mission \S+ "quarry": \d+ of \d+ shots done', out)

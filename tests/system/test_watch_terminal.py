@@ -112,7 +112,7 @@ async def test_a_mission_is_watched_and_paused_by_a_key(tmp_path: Path) -> None:
                 data = {"mission_id": MISSION, "state": "paused", "durable": True}
                 answer = {"transaction": request["transaction"], "status": "ok", "error": None, "data": data}
                 await tell("response/pause", answer)
-                await terminal.until(f"drone: mission {MISSION} pauses (it is paused)")
+                await terminal.until(f"drone: mission {MISSION} is paused")
                 received = {"type": "command_received", "id": f"{MISSION}/8", "command": "pause", "by": name}
                 await tell("event", received)
                 await terminal.until(f"pause received from {name}"[:70])

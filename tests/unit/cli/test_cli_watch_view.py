@@ -105,6 +105,17 @@ def test_who_comes_late_sees_all_that_was_done_before() -> None:
         assert one.marks() == {4: Mark.CURRENT}
 
 
+def test_a_photo_that_arrives_late_makes_no_empty_line() -> None:
+    one = Watched()
+    one.hear("state", STATE | {"retakes": 1})
+    one.hear("event", event("photo_stored", 1, shot=0, attempt=1))
+    assert not one.attempts
+    one.hear("event", event("shot_started", 2, shot=1, attempt=1))
+    one.hear("event", event("photo_stored", 3, shot=1, attempt=1))
+    assert [(each.shot, each.verdict) for each in one.attempts.values()] == [(1, "slewing")]
+    assert "1 retake " in shown(mission_view("drone", one))
+
+
 def test_only_the_last_attempts_are_shown_and_a_new_mission_begins_anew() -> None:
     one = Watched()
     for number in range(40):
