@@ -45,10 +45,13 @@ _NEAR = 0.03
 _ROUNDING = 1e-9
 _MOST_PARTNERS = 4
 _DAMPING, _LEAST_DAMPING = 1e-3, 1e-7
-_ACTIVE_ROUNDS = 12
+_ACTIVE_ROUNDS = 6
 _LONGEST_DEG = 2.0
 _SLOW, _MOST_SLOW = 0.85, 5
-"""A step that leaves more than this part of the sum of squares, twice in a row, ends the search."""
+"""So many steps in a row that each leave more than this part of the sum of squares end the search."""
+_POOR = 0.5
+_FORECAST_BY, _SMALL = 6, 1e-5
+"""The last steps by which the sum of squares is forecast, and what it must be at the end to go on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,13 +96,16 @@ def fit_poses(
     fit = _Fit(camera, constraints, start.rows)
     x = np.concatenate([start.yaw_deg, start.pitch_deg])
     count = len(start.rows)
-    damping, slow = _DAMPING, 0
+    damping, slow, history = _DAMPING, 0, list[float]()
     now = fit.conditions(x)
-    for _ in range(steps):
+    for taken in range(steps):
         if now.surplus.min(initial=0.0) >= _ENOUGH - _AIM and fit.covers(x):
             return Poses(x[:count], x[count:], start.rows)
         budget.use(count)
         before = _squares(now.surplus)
+        history.append(before)
+        if _is_hopeless(history, steps - taken):
+            return None
         step = _step(now, damping)
         # near a pole a yaw hardly moves an image
         weight = np.concatenate([np.cos(np.radians(np.minimum(np.abs(x[count:]), 88.0))), np.ones(count)])
@@ -112,11 +118,21 @@ def fit_poses(
             damping *= 10
             slow += 1
         else:
-            x, now, damping = following, new, max(damping / 3, _LEAST_DAMPING)
+            # where the linear forecast was poor, a longer step would be worse
+            damping = max(damping / 3, _LEAST_DAMPING) if after <= _POOR * before else damping
+            x, now = following, new
             slow = slow + 1 if after > _SLOW * before else 0
         if slow >= _MOST_SLOW:
             return None
     return None
+
+
+def _is_hopeless(history: Sequence[float], left: int) -> bool:
+    """Whether sums of squares that go on falling as they did last are not small after the steps that are left."""
+    if len(history) <= _FORECAST_BY:
+        return False
+    rate = (history[-1] / max(history[-1 - _FORECAST_BY], 1e-300)) ** (1 / _FORECAST_BY)
+    return bool(history[-1] * min(rate, 1.0) ** left > _SMALL)
 
 
 def _squares(surplus: FloatArray) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 
 import numpy as np
 
@@ -28,7 +28,11 @@ _HOPELESS = 100
 """Number of counts tried towards the poles if no count is feasible at the horizon."""
 
 _NODES = 33
+_STEEPNESS_DEG = np.linspace(0.0, 90.0, _NODES)
 _STEPS = 60
+_COSTLY_PRECISION_DEG, _PRECISION_DEG = 1e-4, 1e-7
+_WIDEST_PRECISION_DEG = 1e-6
+"""Precision of angles; spacings are rounded to the safe side by more than theirs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +52,11 @@ class NeighbourDemand:
     tolerance: Tolerance
     second: float = 0.0
     seam: float = 0.0
+
+    @property
+    def is_costly(self) -> bool:
+        """Whether it takes bounds over all errors to evaluate."""
+        return max(self.worst, self.second) > 0 and not self.tolerance.is_zero
 
     def surplus(self, camera: Camera, pitch_deg: FloatArray, spacing_deg: FloatArray) -> FloatArray:
         """Surplus of overlap over the demand for images of pitch (k,) at spacing (k,).
@@ -76,8 +85,7 @@ class NeighbourSpacing:
         self._camera = camera
         self._demand = demand
         self._budget = budget or SearchBudget()
-        costly = max(demand.worst, demand.second) > 0 and not demand.tolerance.is_zero
-        self._precision = 1e-4 if costly else 1e-7
+        self._precision = _COSTLY_PRECISION_DEG if demand.is_costly else _PRECISION_DEG
 
     def surplus(self, pitch_deg: FloatArray, spacing_deg: FloatArray) -> FloatArray:
         """See `NeighbourDemand.surplus`.
@@ -95,7 +103,7 @@ class NeighbourSpacing:
 
     def most_images(self, around_deg: float) -> int:
         """Number of spacings that fill the given angle at any pitch, at most `MOST_IN_A_ROW`."""
-        at_horizon = float(self._widest_spacing(np.zeros(1))[0])
+        at_horizon = float(self._table[1][0])
         if at_horizon == 0:
             return _HOPELESS
         return MOST_IN_A_ROW if at_horizon * MOST_IN_A_ROW <= around_deg else math.ceil(around_deg / at_horizon)
@@ -111,18 +119,22 @@ class NeighbourSpacing:
         )
         return np.where(np.isnan(flatness), 90.0, 90.0 - flatness)
 
-    @cached_property
+    @property
     def _table(self) -> tuple[FloatArray, FloatArray]:
-        steepness = np.linspace(0.0, 90.0, _NODES)
-        return steepness, self._widest_spacing(steepness)
+        self._budget.use()
+        return _STEEPNESS_DEG, _widest_spacing(self._camera, self._demand)
 
-    def _widest_spacing(self, steepness_deg: FloatArray) -> FloatArray:
-        count = len(steepness_deg)
-        found = last_nonnegative(
-            lambda which, spacing: self.surplus(steepness_deg[which], spacing),
-            np.full(count, max(360.0 / MOST_IN_A_ROW, self._camera.hfov_deg / _MOST_ABREAST)),
-            np.full(count, 180.0),
-            self._precision,
-            _STEPS,
-        )
-        return np.where(np.isnan(found), 0.0, found)
+
+@lru_cache(maxsize=64)
+def _widest_spacing(camera: Camera, demand: NeighbourDemand) -> FloatArray:
+    """The widest spacing that a demand permits at each of `_STEEPNESS_DEG`, 0 where none; one for many sets of rows."""
+    found = last_nonnegative(
+        lambda which, spacing: demand.surplus(camera, _STEEPNESS_DEG[which], spacing),
+        np.full(_NODES, max(360.0 / MOST_IN_A_ROW, camera.hfov_deg / _MOST_ABREAST)),
+        np.full(_NODES, 180.0),
+        _COSTLY_PRECISION_DEG if demand.is_costly else _WIDEST_PRECISION_DEG,
+        _STEPS,
+    )
+    found = np.where(np.isnan(found), 0.0, found)
+    found.setflags(write=False)
+    return found

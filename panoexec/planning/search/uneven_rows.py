@@ -21,8 +21,11 @@ from panoexec.planning.search.row_refinement import Rows, refine
 from panoexec.planning.search.row_search import RowSearch
 from panoexec.planning.search.variants import variants
 
-_LACKS = (0.012, 0.035)
-"""Margins that even rows may lack, see `PairMargin`."""
+_LACK, _LITTLE_LACK = 0.035, 0.012
+"""Margin that even rows may lack, see `PairMargin`; and that with which their images begin, if they reach all round."""
+
+_WIDTH = 8
+"""Beam width of the search for such rows."""
 
 _MOST_IMAGES = 200
 """Plans of more images are not improved so: a step costs more than an image is worth."""
@@ -56,28 +59,27 @@ def uneven_rows(
     if not _applies(constraints, rules) or images() > _MOST_IMAGES:
         return
     left, tried = _WORK, set[tuple[int, ...]]()
-    for lack in _LACKS:
-        if images() <= enough or left < _LEAST_STEPS * (images() + _PER_STEP):
+    if images() <= enough:
+        return
+    labels = RowSearch(rules, wanted=-_LACK, width=_WIDTH).solutions(retry=False, fewer_than=images())
+    # those of the most images lack the least
+    for label in sorted(labels, key=lambda label: -label.images):
+        counts = tuple(count for _, count in label.path())
+        if not enough <= label.images < images() or counts in tried:
+            continue
+        tried.add(counts)
+        rows = refine(rules, label.path(), -_LITTLE_LACK) or refine(rules, label.path(), -_LACK)
+        if rows is None:
+            continue
+        steps = min(left // (label.images + _PER_STEP), _STEPS)
+        if steps < _LEAST_STEPS:
             return
-        labels = RowSearch(rules, wanted=-lack).solutions(retry=False, fewer_than=images())
-        # those of the most images lack the least
-        for label in sorted(labels, key=lambda label: -label.images):
-            counts = tuple(count for _, count in label.path())
-            if not enough <= label.images < images() or counts in tried:
-                continue
-            tried.add(counts)
-            rows = refine(rules, label.path(), -lack)
-            if rows is None:
-                continue
-            steps = min(left // (label.images + _PER_STEP), _STEPS)
-            if steps < _LEAST_STEPS:
-                return
-            before = budget.work
-            start = _start(rules, rows)
-            poses = fit_poses(camera, constraints, start, pitch_deg=rules.pitch_deg, steps=steps, budget=budget)
-            left -= (budget.work - before) // label.images * (label.images + _PER_STEP)
-            if poses is not None:
-                yield _shots(poses)
+        before = budget.work
+        start = _start(rules, rows)
+        poses = fit_poses(camera, constraints, start, pitch_deg=rules.pitch_deg, steps=steps, budget=budget)
+        left -= (budget.work - before) // label.images * (label.images + _PER_STEP)
+        if poses is not None:
+            yield _shots(poses)
 
 
 def _applies(constraints: Constraints, rules: RowConstraints) -> bool:
