@@ -15,15 +15,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import numpy as np
-
-from panoexec.angles import rotation
 from panoexec.errors import PlanningError
 from panoexec.optics import Camera
 from panoexec.planning.certificate.texture import mark_geometry_only
-from panoexec.planning.certificate.verdict import THRESHOLD_SLACK, certify, certify_poses
+from panoexec.planning.certificate.verdict import certify
 from panoexec.planning.model import Certificate, Constraints, GimbalLimits, Plan, Shot, Timing
 from panoexec.planning.order.duration import estimate
 from panoexec.planning.order.shot_order import Order, order_shots
@@ -32,6 +29,7 @@ from panoexec.planning.request import MAX_IMAGES, check_request
 from panoexec.planning.search.budget import BudgetSpentError, SearchBudget
 from panoexec.planning.search.infeasible import empty_cores, excessive_overlap, infeasibility_error, nothing_to_cover
 from panoexec.planning.search.lower_bound import least_images
+from panoexec.planning.search.proposal import Found, Lack, missing, reindexed, row_shots, verdict
 from panoexec.planning.search.row_bound import least_images_in_rows
 from panoexec.planning.search.row_constraints import RowConstraints
 from panoexec.planning.search.row_refinement import Rows, refine
@@ -48,14 +46,10 @@ _LABELS_TRIED = 3
 _MOST_TRIED, _MOST_TRIED_MANY = 9, 1
 _ROUNDS = 4
 _FACTOR = 4.0
-_UNKNOWN = 0.02
 """Maximum number of repeated searches where C1 or C3 fails; each increases the margin by this factor."""
 
 _WORK, _LEAST_WORK = 6, 600
 """Budget of certified images per search: this multiple of the plan's images, and at least this number."""
-
-_CLOSE = 0.05
-"""Proposals that lack more overlap are not planned again."""
 
 _MORE_WORK, _LEAST_WORK_ON = 1.5, 1000
 """Once a plan is certified, the search goes on for fewer images up to this multiple of the work, or of this number."""
@@ -82,9 +76,6 @@ _RETRIES = 2
 _MARGIN_MANY = 2e-3
 """Margin for plans of very many rows. Without, the rows about the poles lack up to 0.0016, and the search, which takes
 most of the time, is repeated; 0.002 costs no more images than the repetition does."""
-
-_DECIMALS = 7
-"""Digits of pitch and yaw in a plan, degrees."""
 
 _VERDICT_S_PER_IMAGE, _FEW_IMAGES = 1e-3, 100
 """Processor time of a verdict for each image before any was measured, as for so many images at least."""
@@ -151,7 +142,7 @@ def plan_certified(
     if not found.certificate.certified and explains:
         verdict_s = planner.verdict_s(len(shots))
         return replace(plan, certificate=certify(plan, go_on=lambda: budget.left > verdict_s))
-    return replace(plan, certificate=_reindexed(found, shots))
+    return replace(plan, certificate=reindexed(found, shots))
 
 
 def _cut_note(budget_s: float, bound: int) -> str:
@@ -161,46 +152,18 @@ def _cut_note(budget_s: float, bound: int) -> str:
     )
 
 
-def _reindexed(found: _Found, shots: Sequence[Shot]) -> Certificate:
-    """The certificate with image numbers adapted to a new order of the shots."""
-    place = {(shot.row, shot.yaw_deg): shot.index for shot in shots}
-    name = [place[shot.row, shot.yaw_deg] for shot in found.shots]
-    pair, image = found.certificate.weakest_h, found.certificate.weakest_v
-    return replace(
-        found.certificate,
-        weakest_h=None if pair is None else (name[pair[0]], name[pair[1]]),
-        weakest_v=None if image is None else name[image],
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class _Found:
-    """Shots, row by row, with their certificate."""
-
-    shots: tuple[Shot, ...]
-    certificate: Certificate
-    cut: bool = False
-    """Whether the budget ended the search."""
-
-    @property
-    def rank(self) -> tuple[int, int]:
-        """Sort key, lower is better: certified plans by images, others by the number of failed conditions."""
-        certificate = self.certificate
-        return (0 if certificate.certified else 1 + len(certificate.failures), certificate.images)
-
-
 class _Planner:
     def __init__(self, camera: Camera, constraints: Constraints, budget: SearchBudget | None = None) -> None:
         self._camera = camera
         self._asked = constraints
         self._constraints = trim_band(constraints)
         self._budget = budget or SearchBudget()
-        self._best: _Found | None = None
+        self._best: Found | None = None
         self._image_s = _VERDICT_S_PER_IMAGE
         self._spent = 0
         self._tried: dict[tuple[object, ...], bool] = {}
 
-    def best(self, *, enough: int = 1) -> _Found:
+    def best(self, *, enough: int = 1) -> Found:
         """The best plan.
 
         Args:
@@ -238,7 +201,7 @@ class _Planner:
         """About how long it takes to order images and to explain what fails, seconds of processor time."""
         return _order_s(images) + _EXPLAINING * self.verdict_s(images)
 
-    def _without_redundant(self, best: _Found) -> _Found:
+    def _without_redundant(self, best: Found) -> Found:
         """A certified plan without images that see only masks, as far as there is time to tell."""
         images, cut = len(best.shots), False
 
@@ -249,7 +212,7 @@ class _Planner:
             return not cut
 
         shots = drop_redundant_shots(self._camera, self._asked, best.shots, go_on)
-        certificate = _verdict(self._camera, self._asked, shots)
+        certificate = verdict(self._camera, self._asked, shots)
         return replace(best, shots=shots, certificate=certificate, cut=best.cut or cut)
 
     def _search(self, constraints: Constraints) -> int:
@@ -292,7 +255,7 @@ class _Planner:
         for shots in uneven_rows(self._camera, self._asked, images, enough=enough, budget=self._budget):
             certificate = self._timed_verdict(self._asked, shots)
             if certificate.certified:
-                self._keep(_Found(shots, certificate))
+                self._keep(Found(shots, certificate))
 
     def _further(self, group: int) -> Iterator[tuple[Constraints, Variant]]:
         """What to try after the search of the request itself, which ended at a group of variants."""
@@ -327,14 +290,14 @@ class _Planner:
         for _ in range(_ROUNDS):
             solutions = self._solutions(rules, margin)
             closes = closes or bool(solutions)
-            missing = self._try_solutions(rules, solutions, margin)
-            if missing is None:
+            lack = self._try_solutions(rules, solutions, margin)
+            if lack is None:
                 break
             # search again, with what is missing added: other counts may result
-            if missing.across > 0:
-                rules = rules.with_more_overlap(missing.across, worst=self._constraints.guarantee == "all")
-            if missing.margin > 0:
-                margin = max(margin + missing.margin, _FACTOR * margin)
+            if lack.across > 0:
+                rules = rules.with_more_overlap(lack.across, worst=self._constraints.guarantee == "all")
+            if lack.margin > 0:
+                margin = max(margin + lack.margin, _FACTOR * margin)
         return closes
 
     def _solutions(self, rules: RowConstraints, margin: float) -> list[Label]:
@@ -352,10 +315,10 @@ class _Planner:
                 return solutions
         return []
 
-    def _try_solutions(self, rules: RowConstraints, solutions: Sequence[Label], margin: float) -> _Lack | None:
+    def _try_solutions(self, rules: RowConstraints, solutions: Sequence[Label], margin: float) -> Lack | None:
         """Certify solutions; return the least that is missing for C1 to C3 if nothing else fails, else None."""
         tried = loose = 0
-        missing: list[_Lack] = []
+        lacks: list[Lack] = []
         for label in _first_of_each_total(solutions):
             if self._best_images is not None and label.images >= self._best_images:
                 return None
@@ -366,15 +329,15 @@ class _Planner:
                 self._keep(found)
             if found.certificate.certified or self._many_certified:
                 return None
-            lack = _missing(found.certificate, self._constraints)
-            missing += [] if lack is None else [lack]
+            lack = missing(found.certificate, self._constraints)
+            lacks += [] if lack is None else [lack]
             tried += 1
             loose += not found.certificate.two_edge_connected
             if not found.certificate.connected:
                 loose += _LOOSE_TRIED // (1 if rules.many else 2)
             if loose >= _LOOSE_TRIED or tried >= (_MOST_TRIED_MANY if rules.many else _MOST_TRIED):
                 break
-        return min(missing, key=lambda lack: (lack.across, lack.margin), default=None)
+        return min(lacks, key=lambda lack: (lack.across, lack.margin), default=None)
 
     @property
     def _best_images(self) -> int | None:
@@ -386,33 +349,33 @@ class _Planner:
         """Whether enough proposals of one search were certified."""
         return self._best is not None and self._spent > _WORK * max(_LEAST_WORK, len(self._best.shots))
 
-    def _certify_label(self, rules: RowConstraints, label: Label, margin: float) -> _Found | None:
+    def _certify_label(self, rules: RowConstraints, label: Label, margin: float) -> Found | None:
         """Refine and certify the rows of a label; None if they do not reach the top of the band."""
-        found: _Found | None = None
+        found: Found | None = None
         for _ in range(1 + _RETRIES):
             rows = refine(rules, label.path(), margin)
             if rows is None:
                 break
             found = self._certify(rules, rows)
-            lack = None if found.certificate.certified else _missing(found.certificate, self._constraints)
+            lack = None if found.certificate.certified else missing(found.certificate, self._constraints)
             if lack is None or lack.across > 0:
                 break
             margin = rows.margin + lack.margin
         return found
 
-    def _certify(self, rules: RowConstraints, rows: Rows) -> _Found:
+    def _certify(self, rules: RowConstraints, rows: Rows) -> Found:
         shots = row_shots(rules, rows)
         self._spent += len(shots)
-        return _Found(shots, self._timed_verdict(self._constraints, shots))
+        return Found(shots, self._timed_verdict(self._constraints, shots))
 
     def _timed_verdict(self, constraints: Constraints, shots: Sequence[Shot]) -> Certificate:
         self._budget.use(seconds=self.verdict_s(len(shots)))
         began = self._budget.clock()
-        certificate = _verdict(self._camera, constraints, shots)
+        certificate = verdict(self._camera, constraints, shots)
         self._image_s = max(self._image_s, (self._budget.clock() - began) / max(len(shots), _FEW_IMAGES))
         return certificate
 
-    def _keep(self, found: _Found) -> None:
+    def _keep(self, found: Found) -> None:
         """Take a plan for the best, and keep the time that it takes to complete it."""
         self._best = found
         images = len(found.shots)
@@ -432,42 +395,3 @@ def _order_s(images: int) -> float:
 def _first_of_each_total(solutions: Sequence[Label]) -> Iterator[Label]:
     for _, group in itertools.groupby(solutions, key=lambda label: label.images):
         yield from itertools.islice(group, _LABELS_TRIED)
-
-
-def _verdict(camera: Camera, constraints: Constraints, shots: Sequence[Shot]) -> Certificate:
-    poses = rotation([shot.yaw_deg for shot in shots], [shot.pitch_deg for shot in shots])
-    return certify_poses(camera, constraints, poses, [shot.row for shot in shots], explain=False)
-
-
-def row_shots(rules: RowConstraints, rows: Rows) -> tuple[Shot, ...]:
-    """The shots of rows, row by row."""
-    shots: list[Shot] = []
-    for number, (pitch, count, phase) in enumerate(zip(rows.pitch_deg, rows.count, rows.phase_deg, strict=True)):
-        tilt = round(pitch, _DECIMALS)
-        for yaw in np.round(rules.layout.yaws_deg(pitch, count, phase), _DECIMALS).tolist():
-            shots.append(Shot(index=len(shots), row=number, pitch_deg=tilt, yaw_deg=yaw if yaw < 180.0 else -180.0))
-    return tuple(shots)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Lack:
-    """What rows that are close to certified lack: margin between rows (C1, C3), overlap of neighbours (C2)."""
-
-    margin: float = 0.0
-    across: float = 0.0
-
-
-def _missing(certificate: Certificate, constraints: Constraints) -> _Lack | None:
-    """What is missing for C1 to C3, if the rows are close to certified; None if more fails."""
-    every = constraints.guarantee == "all"
-    upwards = certificate.worst_overlap_v if every else certificate.min_overlap_v
-    across = certificate.worst_overlap_h if every else certificate.min_overlap_h
-    missing_v = 0.0 if upwards is None else constraints.overlap_v - upwards
-    missing_h = 0.0 if across is None else constraints.overlap_h - across
-    if max(missing_h, missing_v) > _CLOSE or not certificate.two_edge_connected:
-        return None
-    margin = 2e-3 if certificate.uncovered_fraction > 0 else 0.0
-    if missing_v > THRESHOLD_SLACK:
-        # overlaps are clamped at 0, so there the missing margin is unknown
-        margin = missing_v + 2e-4 if upwards else max(missing_v, _UNKNOWN)
-    return _Lack(margin=margin, across=missing_h + 2e-4 if missing_h > THRESHOLD_SLACK else 0.0)

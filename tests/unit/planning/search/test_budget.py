@@ -12,9 +12,9 @@ from panoexec.errors import PlanningError
 from panoexec.optics import Camera
 from panoexec.planning.certificate.verdict import certify
 from panoexec.planning.model import NO_TOLERANCE, Band, Certificate, Constraints, Plan
-from panoexec.planning.search import planner
 from panoexec.planning.search.budget import DEFAULT_BUDGET_S, MOST_BUDGET_S, SearchBudget
 from panoexec.planning.search.planner import plan_certified
+from panoexec.planning.search.proposal import missing
 from panoexec.planning.search.siblings import siblings
 
 MAPPER = Camera.from_fov(54.0, 42.7)
@@ -119,7 +119,7 @@ def test_what_is_missing_for_c2_is_planned_again_as_for_c1_and_c3(
         connected=edges,
         two_edge_connected=edges,
     )
-    lack = planner._missing(certificate, replace(SPHERE, overlap_h=0.15, overlap_v=0.15))
+    lack = missing(certificate, replace(SPHERE, overlap_h=0.15, overlap_v=0.15))
     if expected is None:
         assert lack is None
     else:

@@ -13,7 +13,7 @@ from panoexec.errors import PlanningError
 from panoexec.optics import Camera
 from panoexec.planning.certificate import verdict
 from panoexec.planning.model import AngleBox, Band, Certificate, Constraints, Plan, Tolerance
-from panoexec.planning.search import infeasible, planner, thinning
+from panoexec.planning.search import infeasible, planner, proposal, thinning
 from panoexec.planning.search.budget import BudgetSpentError, SearchBudget
 from panoexec.planning.search.infeasible import infeasibility_error
 from panoexec.planning.search.planner import plan_certified
@@ -45,7 +45,7 @@ class Clock:
         self.verdicts = 0
         self.longest = 0.0
         monkeypatch.setattr(time, "thread_time", lambda: self.now)
-        for module in (planner, thinning, verdict):
+        for module in (proposal, thinning, verdict):
             self.charge(monkeypatch, module, "certify_poses", lambda args: IMAGE_S * len(args[2]))
         self.charge(monkeypatch, PairMargin, "overlap_margins", lambda args: PAIR_S * len(args[1]))
         self.charge(monkeypatch, NeighbourDemand, "surplus", lambda args: SPACING_S * len(args[2]))
@@ -92,7 +92,7 @@ def test_dropping_images_that_see_masks_ends_with_the_budget(clock: Clock) -> No
 def test_an_uncertified_plan_is_explained_within_the_budget(
     clock: Clock, monkeypatch: pytest.MonkeyPatch, budget_s: float
 ) -> None:
-    for module in (planner, verdict):
+    for module in (proposal, verdict):
         real = module.certify_poses
 
         def failed(*args: Any, real: Callable[..., Certificate] = real, **named: Any) -> Certificate:
