@@ -4,13 +4,17 @@ tests/system/test_stations_sitl.py; PANOEXEC_STATIONS=10 flies so many (two with
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import itertools
 import json
 import os
 import shutil
 import signal
+import time
+from collections.abc import AsyncIterator
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from panoexec.dryrun.autopilot import firmware_of, running_sitl
@@ -32,6 +36,10 @@ HEIGHT_M = 25.0
 HOLD_S = 40.0
 LONG_S = 240.0
 """For one station and the way to it."""
+OVERHEAD_S, LONGEST_OVERHEAD_S = 3.0, 4.0
+"""Beside the panorama at a station: the median, and the longest where nothing starves."""
+STARVED_S = 0.25
+"""A process that is woken so late gets too little of the machine to say anything of the longest."""
 CONFIG = """[presets.around]
 elevation_deg = [-60, 10]
 [stations]
@@ -135,13 +143,34 @@ def hold_to_account(folder: Path, tour: dict[str, Any], count: int) -> None:
         assert untruths(directory) == []
 
 
+@contextlib.asynccontextmanager
+async def lateness() -> AsyncIterator[list[float]]:
+    """How late this process is woken meanwhile: what the machine does to the daemon and the autopilot, too."""
+    late_s = [0.0]
+
+    async def watch() -> None:
+        while True:
+            due_s = time.monotonic() + 0.05
+            await asyncio.sleep(0.05)
+            late_s.append(time.monotonic() - due_s)
+
+    task = asyncio.create_task(watch(), name="lateness")
+    try:
+        yield late_s
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
 @autopilots()
 async def test_a_mission_with_stations_in_wind(autopilot: Autopilot, tmp_path: Path) -> None:
-    tour = await flown(autopilot, tmp_path)
-    print(json.dumps([[s["before_s"], s["after_s"]] for s in tour["stops"]]))
+    async with lateness() as late_s:
+        tour = await flown(autopilot, tmp_path)
+    print(json.dumps([[s["before_s"], s["after_s"]] for s in tour["stops"]]), f"late by {max(late_s):.2f} s at most")
     hold_to_account(tmp_path, tour, STATIONS)
-    # what a busy machine does to one of them says nothing
-    assert min(stop["before_s"] + stop["after_s"] for stop in tour["stops"]) <= 3.0
+    overheads_s = [stop["before_s"] + stop["after_s"] for stop in tour["stops"]]
+    assert median(overheads_s) <= OVERHEAD_S, overheads_s
+    assert max(overheads_s) <= LONGEST_OVERHEAD_S or max(late_s) > STARVED_S, overheads_s
 
 
 @autopilots()
