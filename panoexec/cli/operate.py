@@ -123,7 +123,7 @@ def _skyline(text: str | None) -> float | list[list[float]] | None:
 
 
 def _of_stop(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("reason", nargs="?", default="", metavar="REASON", help="why, for the log and the report")
+    parser.add_argument("reason", nargs="*", metavar="REASON", help="why, for the log and the report")
 
 
 def _of_shot(parser: argparse.ArgumentParser) -> None:
@@ -135,7 +135,8 @@ def _nothing(parser: argparse.ArgumentParser) -> None:
 
 
 def _reason(args: argparse.Namespace) -> Data:
-    return {"reason": args.reason} if args.reason else {}
+    # in words as they are typed: a stop in a hurry needs no quotation marks
+    return {"reason": " ".join(args.reason)} if args.reason else {}
 
 
 def _shot(args: argparse.Namespace) -> Data:
@@ -158,17 +159,16 @@ def _started(data: Data, vehicle: str) -> str:
     return f"{text}; {proven}"
 
 
-def _stopped(does: str, done: str, state: str) -> Callable[[Data, str], str]:
-    """What is said of a stop: that it is done where the mission is in that state, else what the mission does."""
+def _stopped(done: str, *, until: str = "") -> Callable[[Data, str], str]:
+    """What is said of a stop; where the mission is not in the state `until`, what it does before."""
 
     def sentence(data: Data, vehicle: str) -> str:
         if data.get("mission_id") is None:
             text = f"{vehicle}: no mission had begun; the start is called off"
-        elif data.get("state") == state:
-            text = f"{vehicle}: mission {data['mission_id']} {done}"
+        elif until and data.get("state") and data["state"] != until:
+            text = f"{vehicle}: mission {data['mission_id']} pauses after the current photo (it is {data['state']})"
         else:
-            text = f"{vehicle}: mission {data['mission_id']} {does}"
-            text += f" (it is {data['state']})" if data.get("state") else ""
+            text = f"{vehicle}: mission {data['mission_id']} {done}"
         lasts = "" if data.get("durable", True) else "; not on disk: it would not outlive a restart of the computer"
         return text + lasts
 
@@ -236,7 +236,7 @@ VERBS: Final[Mapping[str, Verb]] = MappingProxyType(
                 text="Hold a mission after the current photo, until `resume`.",
                 declare=_of_stop,
                 fields=_reason,
-                sentence=_stopped("pauses after the current photo", "is paused", "paused"),
+                sentence=_stopped("is paused", until="paused"),
             ),
             Verb(
                 name="resume",
@@ -268,7 +268,7 @@ VERBS: Final[Mapping[str, Verb]] = MappingProxyType(
                 text="End shooting and accept the gaps; exports and report are written.",
                 declare=_of_stop,
                 fields=_reason,
-                sentence=_stopped("finishes", "finishes", "finishing"),
+                sentence=_stopped("finishes"),
             ),
             Verb(
                 name="abort",
@@ -276,7 +276,7 @@ VERBS: Final[Mapping[str, Verb]] = MappingProxyType(
                 text="End a mission for good, at once.",
                 declare=_of_stop,
                 fields=_reason,
-                sentence=_stopped("ends for good", "is aborted", "aborted"),
+                sentence=_stopped("is aborted"),
             ),
             Verb(
                 name="status",

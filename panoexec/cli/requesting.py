@@ -28,7 +28,10 @@ async def ask(
     """
     fields = {"transaction": transaction_of(CLI, this_user())} | fields
     async with GroundStation(section) as ground:
-        return await ground.request(vehicle, command, fields, timeout_s=timeout_s)
+        silent = f"no vehicle {vehicle} has been connected to this broker yet: waiting up to {timeout_s:g} s for it"
+        return await ground.request(
+            vehicle, command, fields, timeout_s=timeout_s, on_silence=lambda: note(silent) if timeout_s > 1 else None
+        )
 
 
 def exit_code(answer: dict[str, Any]) -> int:

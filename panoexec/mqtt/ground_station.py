@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import difflib
 import json
 import math
 import uuid
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
+from functools import partial
 from types import TracebackType
 from typing import Any, Final, Literal, Self, TypeAlias
 
@@ -26,6 +29,8 @@ Kind: TypeAlias = Literal["status", "state", "plan", "event"]
 
 _STATUS_S: Final = 0.3
 """How long to wait for a retained status; a broker sends it with the acknowledgement of the subscription."""
+_OTHERS_S: Final = 1.0
+"""How long a broker is silent, on a slow link too, when it has told the retained status of every vehicle."""
 _DELTA: Final = "state/delta"
 _KINDS: Final[dict[str, Kind]] = {"status": "status", "state": "state", "plan": "plan", "event": "event"}
 
@@ -76,7 +81,14 @@ class GroundStation:
             return  # the connection is already lost
 
     async def request(
-        self, vehicle: str, command: str, fields: dict[str, Any], *, timeout_s: float, expiry_s: int | None = None
+        self,
+        vehicle: str,
+        command: str,
+        fields: dict[str, Any],
+        *,
+        timeout_s: float,
+        expiry_s: int | None = None,
+        on_silence: Callable[[], None] = lambda: None,
     ) -> dict[str, Any]:
         """Send a request to a vehicle and return the response.
 
@@ -86,10 +98,12 @@ class GroundStation:
             fields: request fields; a transaction is added if there is none.
             timeout_s: response timeout.
             expiry_s: message expiry (MQTT 5); default: the timeout, rounded up.
+            on_silence: called when the request waits although the broker knows of no vehicle of this id. It is sent
+                again, with the same transaction, when the vehicle comes.
 
         Raises:
-            LinkError: the vehicle is offline, so that nothing was sent; no response within the timeout, or the
-                connection to the broker was lost.
+            LinkError: the vehicle is offline, so that nothing was sent; the broker knows other vehicles but not this
+                one; no response within the timeout, or the connection to the broker was lost.
         """
         assert self._client is not None
         base = f"{self._settings.prefix}/{vehicle}"
@@ -101,19 +115,65 @@ class GroundStation:
                 status = await self._status(f"{base}/status", min(_STATUS_S, timeout_s / 3))
                 if status == "offline":
                     raise LinkError(f"{vehicle} is offline: its daemon is not connected to this broker")
-                await self._publish(f"{base}/request/{command}", fields, expiry_s or max(1, math.ceil(timeout_s)))
-                async for message in self._client.messages:
-                    if str(message.topic) == f"{base}/status" and message.payload == b"offline":
-                        raise LinkError(f"{vehicle} went offline before it responded to {command}")
-                    answer = _json(message.payload)
-                    if isinstance(answer, dict) and answer.get("transaction") == fields["transaction"]:
-                        return answer
+                expiry_s = expiry_s or max(1, math.ceil(timeout_s))
+                send = partial(self._publish, f"{base}/request/{command}", fields, expiry_s)
+                await send()
+                answer = None
+                if status is None and await self._ask_for_all():
+                    silence_s = min(_OTHERS_S, timeout_s / 3)
+                    answer = await self._until_known(vehicle, fields["transaction"], silence_s, on_silence)
+                return answer or await self._answer(vehicle, command, fields["transaction"], None if status else send)
         except TimeoutError as error:
             unknown = "no vehicle of this id has been connected to this broker" if status is None else "it is online"
             raise LinkError(f"{vehicle} did not respond to {command} within {timeout_s:g} s: {unknown}") from error
         except aiomqtt.MqttError as error:
             raise LinkError(f"connection to the broker lost: {error}") from error
+
+    async def _answer(
+        self, vehicle: str, command: str, transaction: object, again: Callable[[], Awaitable[None]] | None
+    ) -> dict[str, Any]:
+        """Wait for the answer; `again` sends the request once more when the vehicle comes online."""
+        assert self._client is not None
+        status = f"{self._settings.prefix}/{vehicle}/status"
+        async for message in self._client.messages:
+            if str(message.topic) == status:
+                if message.payload == b"offline":
+                    raise LinkError(f"{vehicle} went offline before it responded to {command}")
+                if again is not None:
+                    await again()  # the same transaction acts once
+                    again = None
+            elif (answer := _answer_to(transaction, message.payload)) is not None:
+                return answer
         raise AssertionError("the messages never end")
+
+    async def _until_known(
+        self, vehicle: str, transaction: object, silence_s: float, on_silence: Callable[[], None]
+    ) -> dict[str, Any] | None:
+        """Read what the broker keeps of all vehicles, until it is silent or the answer comes.
+
+        Raises:
+            LinkError: it knows others but not this one, which has not answered either; the message names them.
+        """
+        assert self._client is not None
+        known: set[str] = set()
+        with contextlib.suppress(TimeoutError):
+            while True:
+                async with asyncio.timeout(silence_s):
+                    message = await anext(self._client.messages)
+                who, _, name = str(message.topic).removeprefix(f"{self._settings.prefix}/").partition("/")
+                if name == "status" and message.payload:
+                    known.add(who)
+                    if who == vehicle and message.payload == b"offline":
+                        raise LinkError(f"{vehicle} is offline: its daemon is not connected to this broker")
+                elif (answer := _answer_to(transaction, message.payload)) is not None:
+                    return answer
+        if not known:
+            on_silence()
+        elif vehicle not in known:
+            near = difflib.get_close_matches(vehicle, known, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(known))}"
+            raise LinkError(f"no vehicle {vehicle} has been connected to this broker: {hint}")
+        return None
 
     async def _status(self, topic: str, wait_s: float) -> str | None:
         """The retained status of a vehicle; None if the broker has none, or does not let us read it."""
@@ -127,6 +187,17 @@ class GroundStation:
         except (TimeoutError, aiomqtt.MqttCodeError):
             return None
         raise AssertionError("the messages never end")
+
+    async def _ask_for_all(self) -> bool:
+        """Ask for the retained status of every vehicle; false where the broker cannot tell."""
+        assert self._client is not None
+        limits = self._client.limits
+        if not limits.retain or not limits.wildcards:
+            return False
+        with contextlib.suppress(aiomqtt.MqttCodeError):
+            await self._client.subscribe(f"{self._settings.prefix}/+/status", qos=1)
+            return True
+        return False
 
     async def _publish(self, topic: str, fields: dict[str, Any], expiry_s: int = 10) -> None:
         assert self._client is not None
@@ -175,6 +246,11 @@ class GroundStation:
                     yield Heard(vehicle=who, kind=kind, document=text if kind == "status" else _json(message.payload))
         except aiomqtt.MqttError as error:
             raise LinkError(f"connection to the broker lost: {error}") from error
+
+
+def _answer_to(transaction: object, payload: object) -> dict[str, Any] | None:
+    answer = _json(payload)
+    return answer if isinstance(answer, dict) and answer.get("transaction") == transaction else None
 
 
 def _json(payload: object) -> Any:

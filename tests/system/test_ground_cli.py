@@ -176,6 +176,9 @@ async def test_nobody_answers(tmp_path: Path) -> None:
         code, out, err = await outcome("start", "--port", broker.port, "--vehicle", "owl")
         assert (code, out) == (3, "")
         assert "owl is offline: its daemon is not connected to this broker" in err
+        code, out, err = await outcome("pause", "a", "helicopter", "--port", broker.port, "--vehicle", "owk")
+        assert (code, out) == (3, "")
+        assert "no vehicle owk has been connected to this broker: did you mean owl?" in err
         code, _, err = await outcome("watch", "--port", broker.port, "--timeout", "0.5", "--vehicle", "kite")
         assert code == 3
         assert "no message received from kite" in err
