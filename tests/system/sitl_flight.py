@@ -55,8 +55,12 @@ class Station:
             self._socket.sendto(message.pack(packer), self._vehicle)
 
     def command(self, number: int, *params: float) -> None:
+        self.send(self.packed(number, *params))
+
+    def packed(self, number: int, *params: float) -> Any:
+        """A command as a message."""
         seven = (*params, *(0.0,) * (7 - len(params)))
-        self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *seven))
+        return mavlink.MAVLink_command_long_message(1, 1, number, 0, *seven)
 
     def parameter(self, name: str, value: float, *, whole: bool = False) -> None:
         kind = mavlink.MAV_PARAM_TYPE_INT32 if whole else mavlink.MAV_PARAM_TYPE_REAL32
