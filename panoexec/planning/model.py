@@ -301,7 +301,7 @@ class Plan:
     estimate: Estimate | None = None
     lower_bound: int | None = None
     """Lower bound of the number of images for these constraints: of any plan by solid angle, or, if that is more, of
-    plans in closed rows (`panoexec.planning.search.row_bound`)."""
+    plans in closed rows (`panoexec.planning.search.row_bound`), unless this plan in uneven rows has fewer."""
     notes: tuple[str, ...] = field(default=())
 
     def rotations(self) -> FloatArray:

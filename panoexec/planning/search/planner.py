@@ -121,9 +121,12 @@ def plan_certified(
     hopeless = hopeless or empty_cores(camera, constraints)
     if hopeless:
         raise PlanningError(hopeless)
-    bound = max(least_images(camera, constraints), least_images_in_rows(camera, constraints) or 1)
+    of_any = least_images(camera, constraints)
+    bound = max(of_any, least_images_in_rows(camera, constraints) or 1)
     planner = _Planner(camera, constraints, budget)
-    found = planner.best(enough=bound)
+    found = planner.best(enough=bound, enough_uneven=of_any)
+    if len(found.shots) < bound:
+        bound = of_any  # the other one holds for even rows
     limits, costs = constraints.gimbal or GimbalLimits(), timing or Timing()
     check_reachable(found.shots, constraints.gimbal)
     shots = mark_geometry_only(camera, constraints, found.shots)
@@ -148,7 +151,7 @@ def plan_certified(
 def _cut_note(budget_s: float, bound: int) -> str:
     return (
         f"the search ended at its budget of {budget_s:g} s of processor time; "
-        f"a longer one may find fewer images, but not fewer than {bound}"
+        f"a longer one may find fewer images, but in even rows not fewer than {bound}"
     )
 
 
@@ -163,11 +166,12 @@ class _Planner:
         self._spent = 0
         self._tried: dict[tuple[object, ...], bool] = {}
 
-    def best(self, *, enough: int = 1) -> Found:
+    def best(self, *, enough: int = 1, enough_uneven: int = 1) -> Found:
         """The best plan.
 
         Args:
-            enough: no plan has fewer images than this, so that one with as many ends the search.
+            enough: no plan in even rows has fewer images than this, so that one with as many ends their search.
+            enough_uneven: likewise for uneven rows.
 
         Raises:
             PlanningError: there is none, or none was found within the budget.
@@ -177,7 +181,7 @@ class _Planner:
             group = self._search(self._constraints)
             if self._best is not None:
                 self._search_on(enough, group)
-                self._search_uneven(enough)
+                self._search_uneven(enough_uneven)
         except BudgetSpentError:
             cut = True
         if self._best is None:
