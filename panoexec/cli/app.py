@@ -117,6 +117,8 @@ def _report(error: PanoexecError) -> int:
 
 
 def _dispatch(argv: list[str]) -> int:
+    if argv[:1] == ["help"] and len(argv) > 1 and not argv[1].startswith("-"):
+        argv = [argv[1], "--help"]
     if not argv or argv[0] in {"-h", "--help", "help"}:
         print(_overview())
         return EXIT_DONE if argv else UsageError.exit_code

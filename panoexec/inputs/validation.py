@@ -24,8 +24,12 @@ def problem_lines(error: ValidationError, model: type[BaseModel] | None = None) 
         error: the problems.
         model: what was validated: unknown keys get the known one that is nearest.
     """
-    lines = [_line(dict(problem), model) for problem in error.errors(include_url=False)[:MOST_PROBLEMS]]
-    more = error.error_count() - len(lines)
+    problems = error.errors(include_url=False)
+    # of items that are wrong pydantic also says that they are too few
+    inside = {problem["loc"][:depth] for problem in problems for depth in range(len(problem["loc"]))}
+    problems = [one for one in problems if one["type"] != "too_short" or one["loc"] not in inside]
+    lines = [_line(dict(problem), model) for problem in problems[:MOST_PROBLEMS]]
+    more = len(problems) - len(lines)
     return [*lines, f"and {more} more problems"] if more else lines
 
 
@@ -33,7 +37,7 @@ def _line(problem: dict[str, Any], model: type[BaseModel] | None) -> str:
     key = dotted(problem["loc"]) or "the document"
     kind = problem["type"]
     if kind == "missing":
-        return f"{key} is missing"
+        return f"{key} is missing{_instead(problem, model)}"
     if kind == "extra_forbidden":
         return f"{key} is not a known key{_hint(problem['loc'], model)}"
     if kind == "value_error":
@@ -44,13 +48,31 @@ def _line(problem: dict[str, Any], model: type[BaseModel] | None) -> str:
     return f"{key} is {shown(problem['input'])}: {message[:1].lower()}{message[1:]}"
 
 
-def _hint(location: tuple[int | str, ...], model: type[BaseModel] | None) -> str:
-    """The known key that an unknown one is nearest to, as a question; "" if none is near."""
+def _instead(problem: dict[str, Any], model: type[BaseModel] | None) -> str:
+    """The unknown key that was given for a missing one, where unknown keys are no errors; "" if none is near."""
+    location, given = problem["loc"], problem["input"]
+    models = _models_at(location[:-1], model)
+    if not isinstance(given, dict) or any(one.model_config.get("extra") == "forbid" for one in models):
+        return ""
+    known = {field.alias or name for one in models for name, field in one.model_fields.items()}
+    strange = [name for name in given if isinstance(name, str) and name not in known]
+    near = difflib.get_close_matches(str(location[-1]), strange, n=1, cutoff=0.8)
+    return f": is {near[0][:_LONGEST_VALUE]} meant?" if near else ""
+
+
+def _models_at(location: tuple[int | str, ...], model: type[BaseModel] | None) -> list[type[BaseModel]]:
+    """The models that validate what is at a place in a document."""
     models = [model] if model is not None else []
-    for part in location[:-1]:
+    for part in location:
         if isinstance(part, str):
             fields = [one.model_fields[part] for one in models if part in one.model_fields]
             models = [found for field in fields for found in _models_in(field.annotation)]
+    return models
+
+
+def _hint(location: tuple[int | str, ...], model: type[BaseModel] | None) -> str:
+    """The known key that an unknown one is nearest to, as a question; "" if none is near."""
+    models = _models_at(location[:-1], model)
     known = [field.alias or name for one in models for name, field in one.model_fields.items()]
     wrong = str(location[-1])
     near = difflib.get_close_matches(wrong, known, n=1, cutoff=0.6)

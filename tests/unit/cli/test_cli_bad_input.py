@@ -109,6 +109,8 @@ def test_all_problems_of_a_profile_come_at_once(profile: Path, capsys: pytest.Ca
     [
         ('{"format": "panoexec.plan/1", "shots": [{"pitch', "not valid JSON (truncated?)"),
         ('{"shots": []}', "shots is []"),
+        ('{"shots": [{"pich_deg": 0, "yaw_deg": 0}]}', "shots[0].pitch_deg is missing: is pich_deg meant?"),
+        ('{"shots": [{"yaw_deg": 0, "index": 3}]}', "shots[0].pitch_deg is missing\n"),
         ('{"shots": [{"pitch_deg": NaN, "yaw_deg": 0}]}', "shots[0].pitch_deg is nan"),
         ('{"shots": [{"pitch_deg": 1e9, "yaw_deg": 0}]}', "shots[0].pitch_deg is 1000000000.0"),
         ("[1, 2]", "JSON object"),
@@ -169,6 +171,16 @@ def test_the_version_is_a_command_too(word: str, capsys: pytest.CaptureFixture[s
     assert capsys.readouterr().out == f"panoexec {panoexec.__version__}\n"
     assert run(["verson"]) == 2
     assert "did you mean 'version'?" in capsys.readouterr().err
+
+
+def test_help_of_a_command_is_also_asked_for_before_it(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["help", "missions"]) == 0
+    asked = capsys.readouterr().out
+    assert run(["missions", "--help"]) == 0
+    assert capsys.readouterr().out == asked
+    assert asked.startswith("usage: panoexec missions")
+    assert run(["help", "misions"]) == 2
+    assert "did you mean 'missions'?" in capsys.readouterr().err
 
 
 def test_an_interrupt_is_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
