@@ -181,7 +181,7 @@ async def test_rows_of_gimbal_and_camera_behind_a_real_autopilot(autopilot: Auto
     """Seconds after the first photo command: one after the other."""
     faults = (
         *("storage-full=3+6", "gimbal-stuck=14+12", "gimbal-slow=32+10", "attitude-nan=45+3", "attitude-frozen=51+3"),
-        *("attitude-stop=57+4", "attitude-late=66+5", "drift=#2", "photo-lost=#4"),
+        *("attitude-stop=57+4", "attitude-late=66+5", "drift=#2", "photo-lost=#6,#11"),
     )
     arguments = [word for fault in faults for word in ("--fault", fault)]
     async with flight(autopilot, tmp_path, *arguments, "--overlap", "0.3") as one:
