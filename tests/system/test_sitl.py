@@ -124,7 +124,8 @@ def test_a_signal_ends_everything_and_the_mission_goes_on_later(
         assert started.process.wait(60) == 130
         started.assert_none_left(within_s=0.0)
         took_s = time.monotonic() - began_s
-        assert took_s <= STOPPED_S, f"{took_s:.1f} s until nothing was left"
+        print(f"{number.name}: {took_s:.1f} s until nothing was left")
+        assert took_s <= STOPPED_S
     assert list(tmp_path.glob("panoexec-sitl-*")) == []
     assert not any(path.exists() for path in locks)
     (left,) = tmp_path.glob("missions/*")
