@@ -147,13 +147,13 @@ class Shooter:
             vehicle_pans=self._vehicle_pans,
             commanded_s=commanded_s,
             bound_s=bound_s,
-            on_settled=lambda: self._slew_ended(shot, commanded_s, settled=True) == "" and self.slews.verifiable,
+            on_settled=lambda: self._is_verifiable(shot, commanded_s),
         )
         done, settled_s = await until(wait.timed_out(), wait.settled(clear), f"settle shot {shot.index}")
-        foreign = ""
-        if not done or settled_s is None:
+        settled = done and settled_s is not None
+        if not settled:
             wait.read()
-            foreign = self._slew_ended(shot, commanded_s, settled=False)
+        foreign = self.slews.ended(shot, commanded_s, settled=settled, nose_since_s=self._nose_since_s(commanded_s))
         unverifiable = self.slews.unverifiable()
         if unverifiable is not None:
             return unverifiable
@@ -161,9 +161,10 @@ class Shooter:
             return Settled(commanded_s=commanded_s, settled_s=settled_s)
         return NotSettled(code="foreign", reason=foreign) if foreign else self._not_settled(tracker, bound_s)
 
-    def _slew_ended(self, shot: Shot, commanded_s: float, *, settled: bool) -> str:
-        """See `SlewWatch.ended`."""
-        return self.slews.ended(shot, commanded_s, settled=settled, nose_since_s=self._nose_since_s(commanded_s))
+    def _is_verifiable(self, shot: Shot, commanded_s: float) -> bool:
+        """Whether an exposure can be verified, as the slew to it has shown too."""
+        self.slews.seen(shot, commanded_s, yaw_follows=self._nose_since_s(commanded_s) is not None)
+        return self.slews.unverifiable() is None
 
     def _settle_limits(self) -> SettleLimits:
         """What settled means: a nose never comes to rest, and is judged by what the exposure needs of it."""

@@ -53,51 +53,56 @@ class SlewWatch:
         """A slew is about to be commanded."""
         self._late_before_s = self.poses.late_s
 
-    def ended(self, shot: Shot, commanded_s: float, *, settled: bool, nose_since_s: float | None) -> str:
-        """Learn from a slew whether the gimbal measures, and whether it rests where it was told.
-
-        A pose that was settled and is not any more is told twice; its slew counts once.
+    def seen(self, shot: Shot, commanded_s: float, *, yaw_follows: bool) -> None:
+        """Learn from a slew whether the gimbal measures, and how old its reports are; each slew counts once.
 
         Args:
             shot: its target.
             commanded_s: when it was commanded.
-            settled: whether it came to rest there.
+            yaw_follows: the vehicle's heading is the camera's yaw.
+        """
+        if commanded_s == self._seen_s:
+            return
+        self._seen_s = commanded_s
+        shows_age = self.echo.slew(
+            self.poses.since(commanded_s - BEFORE_SLEW_S),
+            commanded_s=commanded_s,
+            pitch_deg=shot.pitch_deg,
+            yaw_deg=shot.yaw_deg,
+            yaw_follows=yaw_follows,
+        )
+        if shows_age:
+            self._late_at_slew_s = self._late_before_s
+
+    def ended(self, shot: Shot, commanded_s: float, *, settled: bool, nose_since_s: float | None) -> str:
+        """Learn from the end of a slew whether the gimbal measures, and whether it rests where it was told.
+
+        Args:
+            shot: its target.
+            commanded_s: when it was commanded.
+            settled: whether it rested there until the trigger.
             nose_since_s: when the turn of the vehicle was over, if its heading is the camera's yaw; else None.
 
         Returns:
             Why another station must point the gimbal; "" if it need not.
         """
-        readings = self.poses.since(commanded_s - BEFORE_SLEW_S)
-        pitch_deg, yaw_deg = shot.pitch_deg, shot.yaw_deg
-        if commanded_s != self._seen_s:
-            self._seen_s = commanded_s
-            shows_age = self.echo.slew(
-                readings,
-                commanded_s=commanded_s,
-                pitch_deg=pitch_deg,
-                yaw_deg=yaw_deg,
-                yaw_follows=nose_since_s is not None,
-            )
-            if shows_age:
-                self._late_at_slew_s = self._late_before_s
+        self.seen(shot, commanded_s, yaw_follows=nose_since_s is not None)
         if settled:
             self.steady_error.settled()
             self.foreign.settled()
             self.nose.settled()
-        elif nose_since_s is not None:
+            return ""
+        readings = self.poses.since(commanded_s - BEFORE_SLEW_S)
+        pitch_deg, yaw_deg = shot.pitch_deg, shot.yaw_deg
+        if nose_since_s is not None:
             self.nose.failed(motion_of(readings, since_s=nose_since_s), shot=shot.index, yaw_deg=yaw_deg)
-        else:
-            foreign = self.foreign.failed(readings, commanded_s=commanded_s, pitch_deg=pitch_deg, yaw_deg=yaw_deg)
-            if foreign:
-                return foreign
-            at_rest = error_at_rest(readings, pitch_deg=pitch_deg, yaw_deg=yaw_deg)
-            self.steady_error.failed(at_rest, pitch_deg=pitch_deg, yaw_deg=yaw_deg)
+            return ""
+        foreign = self.foreign.failed(readings, commanded_s=commanded_s, pitch_deg=pitch_deg, yaw_deg=yaw_deg)
+        if foreign:
+            return foreign
+        at_rest = error_at_rest(readings, pitch_deg=pitch_deg, yaw_deg=yaw_deg)
+        self.steady_error.failed(at_rest, pitch_deg=pitch_deg, yaw_deg=yaw_deg)
         return ""
-
-    @property
-    def verifiable(self) -> bool:
-        """Whether exposures can be verified by the gimbal's reports; see `unverifiable`."""
-        return self.unverifiable() is None
 
     def unverifiable(self) -> NotSettled | None:
         """Why no exposure can be verified by the gimbal's reports, as its slews have shown; None if it can."""

@@ -15,7 +15,7 @@ from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
 from panoexec.sim.mavlink.dialect import mavlink
 from tests.support.truth import untruths
-from tests.system.sitl_flight import SET_MODE, STATION, Flight, flight, pauses
+from tests.system.sitl_flight import SET_MODE, SPEEDUP, STATION, Flight, flight, pauses
 from tests.system.sitl_kinds import ARDUCOPTER, PX4, Autopilot, autopilots
 from tests.system.sitl_runs import children_of
 
@@ -40,7 +40,7 @@ async def a_station_points_the_gimbal(one: Flight, *pointing_command: float) -> 
     async def keep_pointing() -> None:
         while True:
             one.station.command(int(number), *params)
-            await asyncio.sleep(0.8)
+            await asyncio.sleep(0.8 / SPEEDUP)  # before a pose that is commanded again is settled
 
     pointing = asyncio.create_task(keep_pointing())
     try:
