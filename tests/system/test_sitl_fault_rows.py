@@ -49,11 +49,13 @@ async def control_is_stolen_and_given_back(one: Flight) -> None:
     await one.resumed()
 
 
-async def it_is_moved_away(one: Flight) -> None:
+async def it_is_moved_away(one: Flight, autopilot: Autopilot) -> None:
     since, at = len(one.events), await one.exposed()
     one.station.reposition(at, north_m=10.0)
     assert (await one.paused("position", since)).automatic
     assert "parallax" in pauses(one, since)
+    if autopilot is ARDUCOPTER:  # PX4 tells the last charge for ever
+        await the_charge_is_told_no_more(one)
     accepted = one.of(ev.ShotAccepted, since)
     one.station.reposition(at, north_m=0.0)
     await one.goes_on(since)
@@ -61,11 +63,12 @@ async def it_is_moved_away(one: Flight) -> None:
 
 
 async def the_charge_is_told_no_more(one: Flight) -> None:
+    """A battery of unknown capacity: the mission warns, and does not pause for it."""
     since = len(one.events)
-    one.station.parameter("BATT_MONITOR", 0)
+    one.station.parameter("BATT_CAPACITY", 0.0)
     await one.until(lambda: any(event.code == "battery_unknown" for event in one.of(ev.Warned, since)), "a warning")
-    assert not pauses(one, since)
-    one.station.parameter("BATT_MONITOR", 4)
+    assert "battery" not in pauses(one, since)
+    one.station.parameter("BATT_CAPACITY", 16000.0)
 
 
 async def it_lands_and_takes_off(one: Flight, autopilot: Autopilot) -> None:
@@ -112,10 +115,8 @@ async def test_rows_of_the_autopilot(autopilot: Autopilot, tmp_path: Path) -> No
         await one.shots(1)
         await control_is_stolen_and_given_back(one)
         await one.shots(1)
-        await it_is_moved_away(one)
+        await it_is_moved_away(one, autopilot)
         await one.shots(1)
-        if autopilot is ARDUCOPTER:  # PX4 tells the last charge for ever
-            await the_charge_is_told_no_more(one)
         await it_lands_and_takes_off(one, autopilot)
         assert one.task is not None
         summary = await asyncio.wait_for(one.task, 300)
@@ -181,7 +182,7 @@ async def test_rows_of_gimbal_and_camera_behind_a_real_autopilot(autopilot: Auto
     """Seconds after the first photo command: one after the other."""
     faults = (
         *("storage-full=3+6", "gimbal-stuck=14+12", "gimbal-slow=32+10", "attitude-nan=45+3", "attitude-frozen=51+3"),
-        *("attitude-stop=57+4", "attitude-late=66+5", "drift=#2", "photo-lost=#6,#11"),
+        *("attitude-stop=57+4", "attitude-late=66+5", "drift=#2", "photo-lost=#6,#11", "photo-refused=#8,#14"),
     )
     arguments = [word for fault in faults for word in ("--fault", fault)]
     async with flight(autopilot, tmp_path, *arguments, "--overlap", "0.3") as one:
