@@ -24,6 +24,8 @@ let view = null, route = null, alone = true;
 const link = new Link(model, (names, message) => {
   for (const name of names) changes.add(name);
   if (message && message.type === "answer" && message.stage !== "sent") told(message);
+  // what is old looks old at once: a busy computer makes frames rare
+  if (changes.has("lost")) draw();
   if (!page.waiting && changes.size) {
     page.waiting = true;
     // a hidden page gets no frames, and shall still be right when it is looked at
