@@ -6,6 +6,7 @@ import asyncio
 import inspect
 import logging
 import os
+import signal
 import sys
 from collections.abc import AsyncIterator, Generator, Iterator
 
@@ -19,6 +20,10 @@ from tests.leftovers import Guard
 # everything else that the suite computes
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+
+# a shell starts what runs in its background with SIGINT ignored, and so would be every process that a test stops by it
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # by default an example that takes more than 0.2 s fails its test, and so do inputs that are slow to draw; both
 # depend on what else the machine does. The examples are the same in every run, so that a change is judged by what it
