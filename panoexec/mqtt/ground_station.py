@@ -121,7 +121,7 @@ class GroundStation:
                 answer = None
                 if status is None and await self._ask_for_all():
                     silence_s = min(_OTHERS_S, timeout_s / 3)
-                    answer = await self._until_known(vehicle, fields["transaction"], silence_s, on_silence)
+                    answer = await self._until_known(vehicle, fields["transaction"], silence_s, on_silence, send)
                 return answer or await self._answer(vehicle, command, fields["transaction"], None if status else send)
         except TimeoutError as error:
             unknown = "no vehicle of this id has been connected to this broker" if status is None else "it is online"
@@ -147,9 +147,16 @@ class GroundStation:
         raise AssertionError("the messages never end")
 
     async def _until_known(
-        self, vehicle: str, transaction: object, silence_s: float, on_silence: Callable[[], None]
+        self,
+        vehicle: str,
+        transaction: object,
+        silence_s: float,
+        on_silence: Callable[[], None],
+        again: Callable[[], Awaitable[None]],
     ) -> dict[str, Any] | None:
         """Read what the broker keeps of all vehicles, until it is silent or the answer comes.
+
+        `again` sends the request once more if the vehicle is among them: it may have come only now.
 
         Raises:
             LinkError: it knows others but not this one, which has not answered either; the message names them.
@@ -165,6 +172,8 @@ class GroundStation:
                     known.add(who)
                     if who == vehicle and message.payload == b"offline":
                         raise LinkError(f"{vehicle} is offline: its daemon is not connected to this broker")
+                    if who == vehicle:
+                        await again()  # the same transaction acts once
                 elif (answer := _answer_to(transaction, message.payload)) is not None:
                     return answer
         if not known:

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import aiomqtt
+import pytest
 
 from panoexec.inputs.service_sections import MqttSection
 from panoexec.mqtt.ground_station import GroundStation
@@ -33,3 +34,23 @@ async def test_a_request_reaches_a_vehicle_that_comes_after_it(tmp_path: Path) -
                 answer = {"transaction": "t", "status": "ok"}
                 await kite.publish("panoexec/kite/response/get", json.dumps(answer), qos=1)
                 assert await asking == answer
+
+
+@needs_mosquitto
+async def test_a_request_reaches_a_vehicle_that_comes_while_others_are_looked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("panoexec.mqtt.ground_station._OTHERS_S", 20.0)
+    with running_broker(tmp_path) as broker:
+        section = MqttSection(host="127.0.0.1", port=broker.port)
+        async with GroundStation(section) as station, aiomqtt.Client("127.0.0.1", broker.port) as kite:
+            await kite.subscribe("panoexec/kite/request/#", qos=1)
+            asking = asyncio.create_task(station.request("kite", "get", {"transaction": "t"}, timeout_s=60))
+            async with asyncio.timeout(60):
+                await anext(kite.messages)  # as if it had been lost
+                await kite.publish("panoexec/kite/status", "online", qos=1, retain=True)
+                message = await anext(kite.messages)
+            assert isinstance(message.payload, bytes)
+            assert json.loads(message.payload) == {"transaction": "t"}
+            await kite.publish("panoexec/kite/response/get", json.dumps({"transaction": "t", "status": "ok"}), qos=1)
+            assert (await asking)["status"] == "ok"

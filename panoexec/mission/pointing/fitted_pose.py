@@ -2,8 +2,10 @@
 
 A camera at 0.07° beside its target is inside a tolerance of 0.1°, but one of four readings with 0.017° of noise is
 outside in every sixth exposure. A parabola through seven readings or more knows the pose to half of that noise. It
-proves the pose if it is inside together with twice its own standard error, which follows from how far the readings
-are from it. Readings that are farther from it than noise is are a motion, and no parabola: then they count themselves.
+proves the pose if it is inside together with the confidence bound of its own error (Student's t, 97.5 %), and also if
+all of what the readings are beside it were a vibration of the airframe, whose amplitude is √2 times its standard
+deviation: which of both it is, readings do not tell. Readings that are farther from it than noise is are a motion, and
+no parabola: then they count themselves. A reading that was repeated counts once.
 """
 
 from __future__ import annotations
@@ -22,8 +24,10 @@ from panoexec.planning.model import Tolerance
 BESIDE_S: Final = 0.07
 """Readings of so long before and after an exposure tell of the pose in it; gusts turn about within twice of it."""
 LEAST_READINGS: Final = 7
-STANDARD_ERRORS: Final = 2.0
-"""The curve must be inside the tolerance with so many of its standard errors."""
+_STUDENT_T: Final = (2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228)
+"""Student's t, 97.5 %, for 4 to 10 degrees of freedom; the last one for more, where it is smaller."""
+_AMPLITUDE: Final = math.sqrt(2.0)
+"""Amplitude of a vibration over its standard deviation."""
 NOISE_DEG: Final = 0.03
 """Largest noise of encoders, standard deviation: what is more is a motion."""
 _DEGREE: Final = 2
@@ -41,7 +45,8 @@ def fits(readings: Sequence[Reading], errors: PoseError, tolerance: Tolerance, *
         start_s: of the exposure.
         end_s: its end.
     """
-    times = np.array([reading.time_s for reading in readings])
+    distinct = [k for k, one in enumerate(readings) if k == 0 or not _repeats(one, readings[k - 1])]
+    times = np.array([readings[k].time_s for k in distinct])
     if len(times) < LEAST_READINGS or not times[0] <= start_s <= end_s <= times[-1]:
         return False
     middle_s = (start_s + end_s) / 2
@@ -49,14 +54,22 @@ def fits(readings: Sequence[Reading], errors: PoseError, tolerance: Tolerance, *
     fit = np.linalg.pinv(_powers(times - middle_s))
     curve, through = _powers(within - middle_s) @ fit, _powers(times - middle_s) @ fit
     error_of_curve = np.sqrt((curve**2).sum(axis=1))
+    freedom = len(times) - _DEGREE - 1
+    t = _STUDENT_T[min(freedom - 4, len(_STUDENT_T) - 1)]
     limits = (tolerance.pitch_deg, tolerance.roll_deg, tolerance.yaw_deg)
-    for values, limit in zip((errors.pitch_deg, errors.roll_deg, errors.yaw_deg), limits, strict=True):
-        left = np.asarray(values) - through @ values
-        noise_deg = math.sqrt(float(left @ left) / (len(times) - _DEGREE - 1))
-        bound = np.abs(curve @ values) + STANDARD_ERRORS * noise_deg * error_of_curve
-        if noise_deg > NOISE_DEG or float(bound.max()) > limit:
+    for axis, limit in zip((errors.pitch_deg, errors.roll_deg, errors.yaw_deg), limits, strict=True):
+        values = np.asarray(axis)[distinct]
+        left = values - through @ values
+        noise_deg = math.sqrt(float(left @ left) / freedom)
+        bound = np.abs(curve @ values) + noise_deg * np.maximum(t * error_of_curve, _AMPLITUDE)
+        if not (noise_deg <= NOISE_DEG and float(bound.max()) <= limit):
             return False
     return True
+
+
+def _repeats(reading: Reading, before: Reading) -> bool:
+    """Whether a reading is the one before it, forwarded again."""
+    return reading.time_s <= before.time_s or np.array_equal(np.asarray(reading.rotation), np.asarray(before.rotation))
 
 
 def _powers(times: FloatArray) -> FloatArray:
