@@ -61,6 +61,26 @@ class BrokerLimits:
     wildcards: bool = True
 
 
+class _Registering:
+    """The event loop as aiomqtt uses it: of a socket that was closed before the loop came to it, nothing is registered.
+
+    aiomqtt lets the loop register a socket in its next turn; paho may close it before, and tells that failure itself.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+
+    def call_soon_threadsafe(self, call: Callable[..., object], *arguments: Any) -> asyncio.Handle:
+        def unless_closed() -> None:
+            with contextlib.suppress(OSError, ValueError):
+                call(*arguments)
+
+        return self._loop.call_soon_threadsafe(unless_closed)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._loop, name)
+
+
 class BrokerClient(aiomqtt.Client):
     """An aiomqtt client that also exposes protocol details.
 
@@ -81,6 +101,7 @@ class BrokerClient(aiomqtt.Client):
         logger.addHandler(self._trouble)
         logger.setLevel(self._trouble.level)  # paho logs every packet at debug level
         super().__init__(**options, logger=logger)
+        self._loop: Any = _Registering(self._loop)
 
     async def __aenter__(self) -> Self:
         """Connect; a failed connection leaves no socket open.
