@@ -17,6 +17,7 @@ from tests.wire.mission_conversation import ARM, MODES, SET_CURRENT, SET_MODE, T
 from tests.wire.sim_peer import command
 
 _AUTOPILOT = 1
+_ARMING_TRIES, _ARM_AGAIN_S = 240, 0.5
 
 
 @dataclass(slots=True)
@@ -146,9 +147,12 @@ class Pilot:
     async def take_off(self, height_m: float) -> None:
         """Arm and climb: ArduCopter in GUIDED, PX4 in its mission."""
         await self.mode("guided" if self.kind == "ardupilot" else "auto")
-        while not self.said.armed:
+        for _ in range(_ARMING_TRIES):
+            if self.said.armed:
+                break
             self.send(command(ARM, 1))
-            await asyncio.sleep(0.5)
+            await asyncio.sleep(_ARM_AGAIN_S)
+        assert self.said.armed, f"the autopilot does not arm: {self.said.autopilot_texts[-3:]}"
         if self.kind == "ardupilot":
             self.send(command(TAKEOFF, 0, 0, 0, 0, 0, 0, height_m))
             await self.until(lambda: self.said.height_m > 0.95 * height_m)

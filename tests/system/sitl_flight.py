@@ -30,6 +30,7 @@ from tests.waiting import eventually
 
 SPEEDUP = 2
 SOON_S = 60.0
+_GRANTED_S = 180.0
 SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
 STATION = (255, 190)
 
@@ -195,11 +196,12 @@ class Flight:
                     mission.commands.resume()
             return self.state is MissionState.CAPTURING
 
-        while not granted():
-            assert self.task is not None
-            assert not self.task.done()
-            assert len(self.events) < since + 100
-            await asyncio.sleep(0.5)
+        async with asyncio.timeout(_GRANTED_S):
+            while not granted():
+                assert self.task is not None
+                assert not self.task.done()
+                assert len(self.events) < since + 100
+                await asyncio.sleep(0.5)
 
 
 @asynccontextmanager
