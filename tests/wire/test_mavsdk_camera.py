@@ -148,7 +148,7 @@ async def camera(eye: CameraPeer, tmp_path: Path) -> AsyncIterator[MavsdkCamera]
     files = FileUrls(hosts=("camera",), folders=(tmp_path,))
     async with MavsdkLink(eye.url, clock=CLOCK, files=files) as link, MavsdkCamera(link) as one:
         await link.wait_autopilot(10)
-        await one.discover()
+        await counting(one)
         yield one
 
 
@@ -164,8 +164,14 @@ async def servo() -> AsyncIterator[CameraPeer]:
 async def servo_camera(servo: CameraPeer) -> AsyncIterator[MavsdkCamera]:
     async with MavsdkLink(servo.url, clock=CLOCK) as link, MavsdkCamera(link, component=1) as one:
         await link.wait_autopilot(10)
-        await one.discover()
+        await counting(one)
         yield one
+
+
+async def counting(camera: MavsdkCamera) -> None:
+    """Find it, and wait for its first image count: one that arrives after a trigger may be from before or after it."""
+    await camera.discover()
+    await eventually(lambda: camera.image_count == 0)
 
 
 async def test_a_camera_of_its_own_is_found_and_says_how_much_fits(camera: MavsdkCamera) -> None:
