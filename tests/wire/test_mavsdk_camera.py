@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from panoexec.adapters.camera import camera_reports
+from panoexec.adapters.camera.camera_clock import ENOUGH_TRIPS
 from panoexec.adapters.camera.mavsdk_camera import MavsdkCamera
 from panoexec.adapters.link.file_urls import FileUrls
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
@@ -44,6 +45,7 @@ class CameraPeer(ScriptedPeer):
         tells_time: whether reports carry a boot time.
         definition_uri: of its camera definition.
         name: of its model.
+        answers_first: it answers a request for its status, then acknowledges it.
     """
 
     def __init__(self, component: int = 100) -> None:
@@ -56,6 +58,7 @@ class CameraPeer(ScriptedPeer):
         self.tells_time = True
         self.definition_uri = ""
         self.name = "Eye"
+        self.answers_first = False
         self.free_mib = 3000.0
         self.storage_status = 2
         self.result = 1
@@ -74,6 +77,9 @@ class CameraPeer(ScriptedPeer):
     def _request(self, command: Any) -> int | None:
         if command.target_component != self.component and command.param1 >= 259:
             return 4
+        if self.answers_first and command.param1 == 262:
+            self.send(self.capture_status(), self.component)
+            return ACCEPTED
         return super()._request(command)
 
     def camera_ms(self) -> int:
@@ -214,22 +220,28 @@ async def test_the_trigger_reaches_the_wire_at_once(eye: CameraPeer, camera: Mav
     assert sorted(stamps)[20] < 0.025
 
 
+@pytest.mark.parametrize("answers_first", [False, True])
 async def test_the_clocks_stay_bounded_although_other_stamps_are_fresh(
-    eye: CameraPeer, camera: MavsdkCamera, monkeypatch: pytest.MonkeyPatch
+    eye: CameraPeer, camera: MavsdkCamera, monkeypatch: pytest.MonkeyPatch, answers_first: bool
 ) -> None:
     """MAVSDK asks the camera all the time: such stamps are no answers to us, and prove no round trip."""
     monkeypatch.setattr(camera_reports, "_BOUND_S", 0.05)
+    monkeypatch.setattr(camera_reports, "_SPREAD_S", ())
+    eye.answers_first = answers_first
     await camera._reports.relate()
     known = camera._reports.stamps.trips
-    for number in range(5):
-        await asyncio.sleep(0.1)
+    assert known >= ENOUGH_TRIPS
+    bounded, number = 0, 0
+    while bounded < 3 and number < 30:  # a busy machine makes wide round trips, which bound nothing
+        await asyncio.sleep(0.2)
         eye.send(eye._information(), 100)
         await asyncio.sleep(0.02)  # it is the newest stamp
         taken = await camera.trigger()
         found = await taken.evidence(CAPTURED, 3.0)
-        await eventually(partial(trips, camera, known + number + 1))
-    earliest_s, latest_s = found.opened_s
-    assert latest_s - earliest_s < 0.05
+        number += 1
+        bounded += math.isfinite(found.opened_s[0])
+    assert bounded == 3
+    await eventually(partial(trips, camera, min(known + 3, 9)))
 
 
 def trips(camera: MavsdkCamera, enough: int) -> bool:

@@ -2,8 +2,8 @@
 
 A camera stamps a photo with its own time since boot (`time_boot_ms` of CAMERA_IMAGE_CAPTURED, 263). Its clock may run
 slow or fast by per cents (PX4's SITL clock lagged 2 %) and may be stepped. Messages that are stamped when they are sent
-(262, 259, 261) relate the two clocks: each arrives a short transport delay after its stamp. One that answers a request
-was stamped after the request was sent, so its delay is not longer than the round trip.
+(262, 259, 261) relate the two clocks: each arrives a short transport delay after its stamp. One that was certainly
+stamped after a request was sent (`camera_round_trips`) has a delay that is not longer than the round trip.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from statistics import median
 from typing import Final
 
@@ -23,6 +23,7 @@ DELAY_S: Final = 0.05
 _KEPT: Final = 24
 _WINDOW_S: Final = 120.0
 _SHORTEST_SPAN_S: Final = 2.0
+_APART_TRIPS_S: Final = 0.5
 _DRIFT: Final = 2e-4
 """What the rate itself may change."""
 LATE_S: Final = 0.25
@@ -38,8 +39,10 @@ _RESOLUTIONS_MS: Final = (1000, 100)
 _LATEST_REPORT_S: Final = 10.0
 """How long a report may be under way."""
 _TRIPS: Final = 9
-ENOUGH_TRIPS: Final = 3
-"""Round trips before they are believed."""
+ENOUGH_TRIPS: Final = 5
+"""Round trips before they are believed: one of so many may be false."""
+_FALSE_OF: Final = 5
+"""One of so many round trips may be false: what they prove is what all the others allow."""
 _TIGHT_S: Final = 0.06
 """Bounds that are wider than this tell no more than a date."""
 
@@ -98,18 +101,26 @@ class CameraClock:
         """How many round trips are known."""
         return len(self._trips)
 
-    def note(self, stamp_s: float, received_s: float, *, asked_s: float = math.nan) -> None:
+    def note_trip(self, stamp_s: float, asked_s: float, received_s: float) -> None:
+        """Take a message, noted already, that was certainly stamped after a request was sent.
+
+        Args:
+            stamp_s: the camera's time since boot, seconds.
+            asked_s: when the request was sent, on the mission's clock.
+            received_s: when the message arrived.
+        """
+        if math.isfinite(stamp_s) and asked_s <= received_s:
+            self._trips.append((stamp_s, asked_s, received_s))
+
+    def note(self, stamp_s: float, received_s: float) -> None:
         """Take a message that was stamped when it was sent.
 
         Args:
             stamp_s: the camera's time since boot, seconds.
             received_s: when it arrived, on the mission's clock.
-            asked_s: when it was requested, if it is the answer to a request.
         """
         if not (math.isfinite(stamp_s) and math.isfinite(received_s)):
             return
-        if asked_s <= received_s:
-            self._trips.append((stamp_s, asked_s, received_s))
         self._learn_resolution(stamp_s)
         if self._pairs:
             predicted_s, error_s = self._predict(stamp_s)
@@ -156,9 +167,10 @@ class CameraClock:
     def bounds(self, stamp_s: float, received_s: float) -> tuple[float, float]:
         """Between which times a stamp was made, as round trips prove it.
 
-        An answer was stamped between its request and its arrival, so each round trip bounds the relation of the clocks,
-        and so do all of them together, except for few that are cut short by a message that nobody asked for: the bounds
-        are those of what all but a fifth of the round trips allow (Marzullo's algorithm, as in NTP).
+        Each round trip bounds the relation of the clocks, and so do all of them together. A fifth of them may be false
+        (datagrams that overtook each other, a step of the camera's clock), each of which falsifies every bound that it
+        is part of: the bounds are those of all the ways to leave out so many, as far as the others agree. The newest
+        must agree with them: where it does not, the camera's clock may have been stepped since the others.
 
         Args:
             stamp_s: the camera's time since boot, seconds.
@@ -174,41 +186,23 @@ class CameraClock:
         stepped = self._before is not None and received_s <= self._found_s + _WINDOW_S
         if stepped or self._suspect is not None:
             return unknown
-        ends: list[tuple[float, int]] = []
-        slowest, fastest = self._rate_bounds()
-        for known_s, asked_s, answered_s in self._trips:
-            apart_s = stamp_s - known_s
-            ends.append((asked_s + min(slowest * apart_s, fastest * apart_s), 1))
-            ends.append((answered_s + max(slowest * apart_s, fastest * apart_s), -1))
-        enough, covered, allowed = self.trips - self.trips // 5, 0, []
-        for time_s, step in sorted(ends, key=lambda end: (end[0], -end[1])):
-            if max(covered, covered + step) >= enough:
-                allowed.append(time_s)
-            covered += step
-        if not allowed or allowed[0] > received_s or allowed[-1] - allowed[0] > _TIGHT_S:
+        step_s = max(1, self._step_ms) / 1000.0  # what the camera counts in: a stamp is of any time within it
+        told = []
+        for kept in itertools.combinations(self._trips, self.trips - self.trips // _FALSE_OF):
+            rates = _rate_bounds(kept, step_s)
+            possible = [_carried(trip, stamp_s, rates, step_s) for trip in (*kept, self._trips[-1])]
+            low, high = max(low for low, _ in possible[:-1]), min(high for _, high in possible[:-1])
+            if rates[0] <= rates[1] and low <= high:
+                if possible[-1][0] > high or possible[-1][1] < low:
+                    return unknown
+                told.append((low, high))
+        earliest_s, latest_s = (
+            min((low for low, _ in told), default=math.inf),
+            max((high for _, high in told), default=0),
+        )
+        if earliest_s > received_s or latest_s - earliest_s > _TIGHT_S:
             return unknown
-        return allowed[0], min(allowed[-1], received_s)
-
-    def _rate_bounds(self) -> tuple[float, float]:
-        """Bounds of the rate: as estimated, and as two round trips that are far apart leave it open.
-
-        A message that nobody asked for may have cut a trip short, so again all but a fifth of the pairs decide.
-        """
-        slowest, fastest = self._rate - self._rate_error, self._rate + self._rate_error
-        span_s = self._trips[-1][0] - self._trips[0][0]
-        low, high = [], []
-        for (early_s, asked_s, answered_s), (late_s, asked_again_s, answered_again_s) in itertools.combinations(
-            self._trips, 2
-        ):
-            apart_s = late_s - early_s
-            if apart_s >= max(span_s / 2, _SHORTEST_SPAN_S):
-                low.append((asked_again_s - answered_s) / apart_s - _DRIFT)
-                high.append((answered_again_s - asked_s) / apart_s + _DRIFT)
-        if len(low) < ENOUGH_TRIPS:
-            return slowest, fastest
-        few = len(low) // 5
-        told = max(slowest, sorted(low)[-1 - few]), min(fastest, sorted(high)[few])
-        return told if told[0] <= told[1] else (slowest, fastest)
+        return earliest_s, min(latest_s, received_s)
 
     @property
     def resolution_s(self) -> float:
@@ -274,3 +268,23 @@ class CameraClock:
         if slopes:
             self._rate = median(slopes)
             self._rate_error = min(RATE_BOUND, (DELAY_S + self.resolution_s) / span_s + _DRIFT)
+
+
+def _rate_bounds(trips: Sequence[tuple[float, float, float]], step_s: float) -> tuple[float, float]:
+    """Bounds of the rate, as round trips leave it open; they contradict each other if the first one is larger."""
+    slowest, fastest = 1.0 - RATE_BOUND, 1.0 + RATE_BOUND
+    for (early_s, asked_s, received_s), (late_s, asked_again_s, received_again_s) in itertools.combinations(trips, 2):
+        apart_s = late_s - early_s
+        if apart_s >= _APART_TRIPS_S:
+            slowest = max(slowest, (asked_again_s - received_s) / (apart_s + step_s) - _DRIFT)
+            fastest = min(fastest, (received_again_s - asked_s) / (apart_s - step_s) + _DRIFT)
+    return slowest, fastest
+
+
+def _carried(
+    trip: tuple[float, float, float], stamp_s: float, rates: tuple[float, float], step_s: float
+) -> tuple[float, float]:
+    """Between which times a stamp was made, by one round trip, the bounds of the rate, and the step of the stamps."""
+    known_s, asked_s, received_s = trip
+    passed_s = [rate * (stamp_s - known_s + rounded_s) for rate in rates for rounded_s in (-step_s, step_s)]
+    return asked_s + min(passed_s), received_s + max(passed_s)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import structlog
 
 from panoexec.adapters.camera.camera_clock import APART_S, ENOUGH_TRIPS, CameraClock
 from panoexec.adapters.camera.camera_pace import CameraPace
+from panoexec.adapters.camera.camera_round_trips import RoundTrips
 from panoexec.adapters.camera.camera_storage import CameraStorage
 from panoexec.adapters.camera.capture import Capture
 from panoexec.adapters.camera.capture_matching import CaptureMatcher
@@ -26,12 +27,14 @@ from panoexec.adapters.link.stream_keeper import AUTOPILOT
 from panoexec.devices import EvidenceLevel
 from panoexec.errors import DeviceError
 
-_RELATED_S: Final = 0.5
-"""Longest wait for an answer (real seconds) that relates the clocks."""
+_VAIN_TRIPS: Final = 3
+"""So many requests in a row that prove nothing are enough to relate the clocks."""
+_SPREAD_S: Final = (1.0, 1.0, 1.0, 1.0)
+"""Pauses between the requests that follow those, which bound the rate of the camera's clock."""
 _SYNCHRONISE_S: Final = 4.0
 """A stamp of the camera's clock that is older than this (mission seconds) is asked for anew at the next photo."""
 _BOUND_S: Final = 1.0
-"""So is an answer to such a request, after the next report: stamps that others asked for bound nothing."""
+"""After a report, a round trip is made if the last one is older: other stamps bound nothing."""
 
 _log = structlog.get_logger(__name__)
 
@@ -72,7 +75,7 @@ class CameraReports:
         self._synchronised_s = -math.inf
         self._answered_s = -math.inf
         self._bounding: asyncio.Task[None] | None = None
-        self._asked_s = math.nan
+        self._trips = RoundTrips(link.clock, self._request_clock)
 
     def subscribe(self) -> list[Callable[[], None]]:
         """Receive messages; returns what ends that."""
@@ -83,6 +86,7 @@ class CameraReports:
             on("CAMERA_CAPTURE_STATUS", self._capture_status),
             on("CAMERA_INFORMATION", self._stamped),
             on("STORAGE_INFORMATION", self._stored),
+            on("COMMAND_ACK", self._acknowledged),
         ]
 
     @property
@@ -97,24 +101,36 @@ class CameraReports:
 
     async def synchronise(self) -> None:
         """Ask for a message that is stamped when it is sent, if the last one is old."""
-        target, now_s = self.target, self._link.clock.monotonic()
-        if target != AUTOPILOT and now_s - self._synchronised_s > _SYNCHRONISE_S:
-            self._asked_s = now_s
-            await self._link.requests.command(REQUEST_MESSAGE, [CAPTURE_STATUS], component=target)
+        if self.target != AUTOPILOT and self._link.clock.monotonic() - self._synchronised_s > _SYNCHRONISE_S:
+            await self._request_clock()
+
+    async def _request_clock(self) -> int:
+        return await self._link.requests.command(REQUEST_MESSAGE, [CAPTURE_STATUS], component=self.target)
 
     def _bound(self) -> None:
-        """Ask for the clock anew, so that its bounds stay narrow; after a report, when the count is no news."""
+        """Make a round trip, so that the bounds of the clock stay narrow; after a report, when the count is no news."""
         if not self.stamps.trips or (self._bounding is not None and not self._bounding.done()):
             return  # nothing is bounded, or it is asked for
         if self.target != AUTOPILOT and self._link.clock.monotonic() - self._answered_s > _BOUND_S:
-            self._bounding = asyncio.create_task(self._ask_clock(), name="camera clock")
+            self._bounding = asyncio.create_task(self._make_trips((0.0,)), name="camera clock")
 
-    async def _ask_clock(self) -> None:
-        self._asked_s = self._link.clock.monotonic()
-        try:
-            await self._link.requests.command(REQUEST_MESSAGE, [CAPTURE_STATUS], component=self.target)
-        except DeviceError as error:
-            _log.debug("camera clock request failed", error=str(error))
+    async def _make_trips(self, pauses_s: Sequence[float]) -> None:
+        for pause_s in pauses_s:
+            await self._link.clock.sleep(pause_s)
+            try:
+                await self._make_trip()
+            except DeviceError as error:
+                _log.debug("camera clock request failed", error=str(error))
+
+    async def _make_trip(self) -> bool:
+        """Make a round trip; returns whether it proved something."""
+        steps = self.stamps.steps
+        trip = await self._trips.make()
+        if trip is None or self.stamps.steps > steps:
+            return False
+        self._answered_s = trip.received_s
+        self.stamps.note_trip(trip.stamp_s, trip.asked_s, trip.received_s)
+        return True
 
     async def close(self) -> None:
         """Ask no more."""
@@ -123,12 +139,12 @@ class CameraReports:
             await asyncio.gather(self._bounding, return_exceptions=True)
 
     async def relate(self) -> None:
-        """Relate the camera's clock to the mission's by as many requests as are needed; before its first photo."""
-        for _ in range(ENOUGH_TRIPS - self.stamps.trips):
-            self._asked_s = self._link.clock.monotonic()
-            await self._link.requests.message(
-                CAPTURE_STATUS, "CAMERA_CAPTURE_STATUS", component=self.target, timeout_s=_RELATED_S
-            )
+        """Relate the camera's clock to the mission's by as many round trips as are needed; before its first photo."""
+        vain = 0
+        while self.stamps.trips < ENOUGH_TRIPS and vain < _VAIN_TRIPS:
+            vain = 0 if await self._make_trip() else vain + 1
+        if self.stamps.trips and (self._bounding is None or self._bounding.done()):
+            self._bounding = asyncio.create_task(self._make_trips(_SPREAD_S), name="camera clock")
 
     async def poll(self, capture: Capture) -> None:
         """Check for the file of a reported photo; else request the image count and a report that may have been lost.
@@ -166,14 +182,19 @@ class CameraReports:
 
     def _capture_status(self, message: MavMessage) -> None:
         if self._is_ours(message):
-            self._stamped(message, answers=True)
+            self._stamped(message)
+            self._link.post(self._trips.stamped, message.fields["time_boot_ms"] / 1000.0, message.received_s)
             self._link.post(self.matcher.counted, int(message.fields["image_count"]), message.received_s)
 
-    def _stamped(self, message: MavMessage, *, answers: bool = False) -> None:
+    def _acknowledged(self, message: MavMessage) -> None:
+        if self._is_ours(message) and int(message.fields["command"]) == REQUEST_MESSAGE:
+            self._link.post(self._trips.acknowledged, message.received_s)
+
+    def _stamped(self, message: MavMessage) -> None:
         if self._is_ours(message):
             self.heard_s = time.monotonic()
             stamp_s = message.fields["time_boot_ms"] / 1000.0
-            self._link.post(self._take_answer if answers else self._take_stamp, stamp_s, message.received_s)
+            self._link.post(self._take_stamp, stamp_s, message.received_s)
 
     def _stored(self, message: MavMessage) -> None:
         if self._is_ours(message):
@@ -186,18 +207,11 @@ class CameraReports:
 
     # --- on the loop
 
-    def _take_answer(self, stamp_s: float, received_s: float) -> None:
-        """Take a message that was requested, or one of its kind that came by itself meanwhile."""
-        asked_s, self._asked_s = self._asked_s, math.nan
-        if not math.isnan(asked_s):
-            self._answered_s = received_s
-        self._take_stamp(stamp_s, received_s, asked_s=asked_s)
-
-    def _take_stamp(self, stamp_s: float, received_s: float, *, asked_s: float = math.nan) -> None:
+    def _take_stamp(self, stamp_s: float, received_s: float) -> None:
         """Relate the camera's clock to ours by a message that was stamped when it was sent."""
         steps = self.stamps.steps
         self._synchronised_s = received_s
-        self.stamps.note(stamp_s, received_s, asked_s=asked_s)
+        self.stamps.note(stamp_s, received_s)
         self.matcher.redate(self._link.clock.monotonic())
         if self.stamps.steps > steps:
             self.on_restart()

@@ -18,6 +18,7 @@ from panoexec.adapters.camera.camera_choice import CAPTURES_IMAGES
 from panoexec.adapters.camera.camera_discovery import CAMERA_INFORMATION
 from panoexec.adapters.camera.mavsdk_camera import MavsdkCamera
 from panoexec.adapters.camera.photo_recall import CAPTURE_STATUS, IMAGE_CAPTURED
+from panoexec.adapters.link.mavsdk_requests import REQUEST_MESSAGE
 from panoexec.adapters.link.message_hub import Handler, MavMessage
 from panoexec.errors import DeviceError
 from tests.unit.fakes.virtual import VirtualClock
@@ -224,6 +225,7 @@ class FakeLink:
             self.camera.dispatch("CAMERA_INFORMATION", camera.status() | {"flags": CAPTURES_IMAGES})
             return 0
         await self._reached()
+        camera.dispatch("COMMAND_ACK", {"command": REQUEST_MESSAGE, "result": 0})
         delay_s = camera.rng.uniform(0.005, 0.04)
         if wanted == CAPTURE_STATUS:
             fields = camera.status()
