@@ -8,6 +8,7 @@ import math
 import os
 import pty
 import socket
+import tempfile
 import threading
 import time
 import tty
@@ -403,3 +404,22 @@ async def test_a_serial_device_may_be_absent_at_first_and_unplugged_later(cable:
         await peer.until(lambda: 30 in peer.streams, 20)
         await link.wait_autopilot(5)
         cable.unplug()
+
+
+async def test_nothing_is_left_in_the_temporary_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MAVSDK makes a folder for each system that it meets, and leaves it."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    old, full = (tmp_path / f"mavsdk-component-metadata-{name}" for name in ("old", "full"))
+    old.mkdir()
+    os.utime(old, (1.0, 1.0))
+    async with listening(ScriptedPeer()) as peer, MavsdkLink(peer.url, clock=CLOCK) as link:
+        await link.wait_autopilot(10)
+        full.mkdir()
+        (full / "file").touch()
+        assert len(_inside(tmp_path)) > 2
+    assert _inside(tmp_path) == {old, full}
+
+
+def _inside(folder: Path) -> set[Path]:
+    return set(folder.iterdir())

@@ -6,9 +6,12 @@ import asyncio
 import contextlib
 import json
 import math
+import os
+import tempfile
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Final, TypeAlias, TypeVar
 
 import structlog
@@ -28,6 +31,8 @@ Beat: TypeAlias = Callable[[int, int, int, int], None]
 
 _DRAIN_S: Final = 3.0
 _DESTROY_S: Final = 3.0
+_FOLDERS: Final = "mavsdk-component-metadata-*"
+"""What MAVSDK creates for each system in the folder for temporary files, and leaves there."""
 _REOPEN_S: Final = 1.0
 _MAX_REOPEN_S: Final = 10.0
 
@@ -53,6 +58,7 @@ class MavsdkSession:
         self._others: dict[str, Callable[[Any], None]] = {}
         self._next_open_s = 0.0
         self._delay_s = _REOPEN_S
+        self._began_s = time.time()
 
     @property
     def is_open(self) -> bool:
@@ -195,6 +201,7 @@ class MavsdkSession:
         def destroy() -> None:
             for mavsdk in made:
                 mavsdk.destroy()
+            _remove_folders(self._began_s)
             with contextlib.suppress(RuntimeError):  # the loop was closed: no task waits any more
                 loop.call_soon_threadsafe(gone.set)
 
@@ -209,3 +216,15 @@ def _take_beat(message: Any, heard: Beat) -> None:
     with contextlib.suppress(LookupError, TypeError, ValueError):  # no heartbeat of the standard
         fields = json.loads(message.fields_json)
         heard(message.system_id, message.component_id, int(fields["type"]), int(fields["autopilot"]))
+
+
+def _remove_folders(since_s: float) -> None:
+    """Remove MAVSDK's folders for component metadata that are empty, ours, and no older than that (Unix time).
+
+    Another session may be using one, but none needs it: panoexec asks for no metadata.
+    """
+    for folder in Path(tempfile.gettempdir()).glob(_FOLDERS):
+        with contextlib.suppress(OSError):  # not empty, or removed by somebody else
+            status = folder.stat()
+            if status.st_uid == os.getuid() and status.st_mtime >= since_s - 1.0:
+                folder.rmdir()
