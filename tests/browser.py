@@ -180,7 +180,9 @@ class Browser:
             except AssertionError:
                 if time.monotonic() > deadline:
                     raise
-            assert time.monotonic() < deadline, f"never true: {condition}; {self.problems()}"
+            if time.monotonic() > deadline:
+                page = str(self.value("document.body.innerText"))[:400]
+                raise AssertionError(f"never true: {condition}; {self.problems()}; the page: {page!r}")
 
     def mouse(self, kind: str, x: float, y: float, *, buttons: int = 0) -> None:
         """`mousePressed`, `mouseMoved` or `mouseReleased` at a point of the window."""

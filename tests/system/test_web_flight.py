@@ -38,8 +38,8 @@ ENABLED = "document.getElementById('{}')?.getAttribute('aria-disabled') === null
 
 @pytest.fixture
 def demo(tmp_path: Path) -> Iterator[str]:
-    """The address of the page of a demo that flies four times as fast as in the field."""
-    command = [sys.executable, "-m", "panoexec", "demo", "--page-port", "0", "--speedup", "4"]
+    """The address of the page of a demo whose pace is that of the field, so that a busy browser can pause it."""
+    command = [sys.executable, "-m", "panoexec", "demo", "--page-port", "0"]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     with subprocess.Popen(
         command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, encoding="utf-8"
@@ -94,7 +94,7 @@ async def test_a_mission_is_flown_by_clicks(demo: str, browser: Browser, tmp_pat
     browser.until(f"{WORD} === 'Ready'")
     images = plan_and_start(browser)
 
-    browser.until(f"JSON.parse({BALL}.standings).done >= 2 && {ENABLED.format('do-pause')}")
+    browser.until(f"JSON.parse({BALL}.standings).done >= 1 && {ENABLED.format('do-pause')}")
     browser.click("#do-pause")
     browser.until(f"{WORD} === 'Paused'")
     assert browser.value("document.querySelector('h1').textContent") == "Chapel <b>west</b> · demo"
