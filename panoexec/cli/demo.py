@@ -31,6 +31,7 @@ from panoexec.dryrun import tether
 from panoexec.errors import DependencyError, DeviceError, LinkError, UsageError, to_install
 from panoexec.files import write_atomically
 from panoexec.inputs.service_sections import MqttSection
+from panoexec.sim.ports import free_tcp_port, free_udp_port
 
 EXIT_INTERRUPTED: Final = 130
 VEHICLE: Final = "demo"
@@ -153,7 +154,7 @@ async def _demo(args: argparse.Namespace, broker: str) -> int:
 
 @contextlib.asynccontextmanager
 async def _running(args: argparse.Namespace, broker: str, folder: Path) -> AsyncIterator[tuple[_Programs, int, int]]:
-    mqtt_port, vehicle_port = _free_port(socket.SOCK_STREAM), _free_port(socket.SOCK_DGRAM)
+    mqtt_port, vehicle_port = free_tcp_port(), free_udp_port()
     page_port = _page_port(args.page_port)
     config = folder / "config.toml"
     write_atomically(config, _configuration(args.camera, folder, mqtt_port, vehicle_port))
@@ -252,12 +253,6 @@ def _made(output: Path) -> Path:
     return output.resolve()
 
 
-def _free_port(kind: socket.SocketKind) -> int:
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def _page_port(asked: int | None) -> int:
     """The port for the page: the one that was asked for, else 8090, else a free one."""
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
@@ -267,5 +262,5 @@ def _page_port(asked: int | None) -> int:
         except (OSError, OverflowError) as error:
             if asked is not None:
                 raise UsageError(f"--page-port {asked}: cannot be used ({error})") from error
-            return _free_port(socket.SOCK_STREAM)
-    return _PAGE_PORT if asked is None else asked or _free_port(socket.SOCK_STREAM)
+            return free_tcp_port()
+    return _PAGE_PORT if asked is None else asked or free_tcp_port()

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from panoexec.dryrun.firmware import Launch, SitlOptions, free_udp_ports
+from panoexec.dryrun.firmware import Launch, SitlOptions
 from panoexec.planning.model import Turning
 from panoexec.sim.config import SimConfig
+from panoexec.sim.ports import free_udp_ports
 
 BINARY_VARIABLE: Final = "ARDUPILOT_SITL"
 """Environment variable with the path of the binary."""

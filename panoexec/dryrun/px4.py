@@ -11,10 +11,11 @@ import os
 from pathlib import Path
 from typing import Final
 
-from panoexec.dryrun.firmware import Launch, SitlOptions, free_udp_ports
+from panoexec.dryrun.firmware import Launch, SitlOptions
 from panoexec.errors import UsageError
 from panoexec.planning.model import Turning
 from panoexec.sim.config import SimConfig
+from panoexec.sim.ports import free_udp_ports
 
 BINARY_VARIABLE: Final = "PX4_SITL"
 """Environment variable with the path of the binary."""

@@ -13,11 +13,12 @@ from typing import Any, Protocol
 from panoexec.adapters.link.connection_url import parse_connection
 from panoexec.clock import Clock, SystemClock, VehicleClock
 from panoexec.dryrun.autopilot import firmware_of, running_sitl
-from panoexec.dryrun.firmware import Firmware, SitlOptions, free_udp_ports
+from panoexec.dryrun.firmware import Firmware, SitlOptions
 from panoexec.dryrun.lockstep import Allow
 from panoexec.errors import DeviceError, PanoexecError, UsageError
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import AUTOPILOT_FAULTS
+from panoexec.sim.ports import free_udp_ports
 from panoexec.sim.process import SimulatorProcess, running_simulator
 
 Note = Callable[[str], None]

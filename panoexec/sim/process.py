@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import socket
 import sys
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
@@ -22,13 +21,6 @@ _HURRIED_S = 0.5
 """Time for the last photos after an interrupt or a failure."""
 _HURRIED_STOP_S = 3.0
 _ERRORS: dict[int, type[PanoexecError]] = {2: UsageError, 3: LinkError}
-
-
-def free_udp_port() -> int:
-    """A UDP port that is currently unused."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @dataclass(slots=True)

@@ -20,7 +20,8 @@ import numpy as np
 from panoexec.inputs.service_sections import MqttSection
 from panoexec.mqtt.ground_station import GroundStation
 from panoexec.sim.config import SimConfig
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from tests.bench.harness import Measurement
 from tests.system.daemon import BASE, SMALL, ground_station, ready, serving
 from tests.wire.broker import Broker, running_broker

@@ -25,7 +25,8 @@ from panoexec.inputs.camera_profiles import load_profile
 from panoexec.inputs.plan_file import plan_to_data
 from panoexec.planning.model import Band, Constraints, Plan, Shot, Tolerance
 from panoexec.sim.config import AirframeConfig, CameraConfig, SimConfig
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from tests.bench.bench_service import usage
 from tests.bench.harness import Measurement
 from tests.system.daemon import ground_station

@@ -14,7 +14,8 @@ from panoexec.adapters.files.http_files import HttpFiles
 from panoexec.sim import settings
 from panoexec.sim.config import SimConfig
 from panoexec.sim.photos.file_server import serving_photos
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from panoexec.store.photo_store import hash_file
 from tests.bench.harness import Measurement
 from tests.system.daemon import SMALL, ground_station, ready, serving

@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from panoexec.sim.config import SimConfig
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from tests.bench.harness import Measurement
 from tests.system.daemon import BASE, Ground, ground_station, ready, serving
 from tests.wire.broker import running_broker

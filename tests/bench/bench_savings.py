@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Final
 
 from panoexec.sim.config import SimConfig
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from tests.bench.bench_service import usage
 from tests.bench.harness import Measurement
 from tests.wire.broker import running_broker

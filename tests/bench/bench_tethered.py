@@ -15,7 +15,8 @@ from panoexec.clock import SystemClock
 from panoexec.devices import EvidenceLevel
 from panoexec.sim import settings
 from panoexec.sim.config import SimConfig
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from tests.bench.harness import Measurement
 from tests.support.tethered import tethered_camera
 from tests.system.daemon import SMALL, ground_station, ready, serving

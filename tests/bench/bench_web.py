@@ -18,10 +18,11 @@ from pathlib import Path
 import aiohttp
 import numpy as np
 
+from panoexec.sim.ports import free_tcp_port
 from tests.bench.harness import Measurement
 from tests.support.web import MISSION, FakeBrowser, FakeVehicle, fake_vehicle
 from tests.waiting import eventually
-from tests.wire.broker import free_tcp_port, running_broker
+from tests.wire.broker import running_broker
 from tests.wire.broker_proxy import BrokerProxy, broker_proxy
 
 PAGES = 20

@@ -11,8 +11,8 @@ import time
 from pathlib import Path
 from typing import Final
 
-from panoexec.dryrun.firmware import free_udp_ports
 from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.ports import free_udp_ports
 from tests.wire.sim_peer import UdpPeer
 
 _PACKETS_S: Final = 0.05

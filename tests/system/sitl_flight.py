@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from panoexec.cli import dry_run
-from panoexec.dryrun.firmware import free_udp_ports
 from panoexec.dryrun.rigs import SitlVehicle
 from panoexec.dryrun.run import DryRunOptions, DryRunSummary, run_dry_run
 from panoexec.mission.executor import Mission
@@ -24,6 +23,7 @@ from panoexec.mission.log import events as ev
 from panoexec.mission.log.states import MissionState
 from panoexec.mission.mission_requests import CommandRefusedError
 from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.ports import free_udp_ports
 from tests.system.sitl_kinds import Autopilot
 from tests.system.sitl_runs import WHOLE
 from tests.waiting import eventually

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from panoexec.dryrun.autopilot import SitlProcess, firmware_of, running_sitl
-from panoexec.dryrun.firmware import SitlOptions, free_udp_ports
+from panoexec.dryrun.firmware import SitlOptions
 from panoexec.sim.config import AirframeConfig, AutopilotKind, CameraConfig, SimConfig
+from panoexec.sim.ports import free_udp_ports
 from panoexec.sim.process import running_simulator
 from tests.support.truth import untruths
 from tests.system.daemon import Ground, ground_station, ready, serving

@@ -19,11 +19,12 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from panoexec.sim.ports import free_tcp_port
 from tests.report_missions import photographed
 from tests.repository import ROOT
 from tests.support.web import MISSION, fake_vehicle
 from tests.system.test_without_extras import PLAN, RUN, command, python
-from tests.wire.broker import free_tcp_port, needs_mosquitto, running_broker
+from tests.wire.broker import needs_mosquitto, running_broker
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRA_ALIASES = ("web", "files", "service")

@@ -12,7 +12,8 @@ import aiomqtt
 
 from panoexec.sim import settings
 from panoexec.sim.config import SimConfig
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from panoexec.store.directory import MissionDirectory
 from panoexec.store.journal import load_journal
 from panoexec.store.landed_mission import record_of

@@ -20,8 +20,9 @@ from statistics import median
 import pytest
 
 from panoexec.dryrun.autopilot import firmware_of, running_sitl
-from panoexec.dryrun.firmware import SitlOptions, free_udp_ports
+from panoexec.dryrun.firmware import SitlOptions
 from panoexec.sim.config import SimConfig
+from panoexec.sim.ports import free_udp_ports
 from panoexec.sim.process import running_simulator
 from tests.bench.bench_heartbeats import restart_s
 from tests.system.daemon import Ground, ground_station, ready, serving

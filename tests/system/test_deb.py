@@ -23,7 +23,7 @@ from typing import Any
 
 import pytest
 
-from panoexec.sim.process import free_udp_port
+from panoexec.sim.ports import free_udp_port
 from tests.repository import ROOT
 from tests.system.daemon import SMALL, ground_station
 from tests.system.systemd import CONFIG, STATE, UNIT, nothing_left, running, sh, show, wait, why_not

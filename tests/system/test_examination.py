@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from panoexec.sim.config import SimConfig
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from tests.system.daemon import SMALL, SPEEDUP, ground_station, ready, serving, write_config
 from tests.wire.broker import needs_mosquitto, running_broker
 

@@ -21,7 +21,8 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from panoexec.sim.config import SimConfig
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from tests.fuzzing import Stranger, strangers
 from tests.system.daemon import BASE, SPEEDUP, Ground, ground_station, ready, serving
 from tests.system.shell_mission import flown_from_a_shell

@@ -20,10 +20,11 @@ import pytest
 
 from panoexec.cli.app import run
 from panoexec.sim.config import SimConfig
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_tcp_port, free_udp_port
+from panoexec.sim.process import running_simulator
 from tests.system.daemon import SPEEDUP, ground_station, ready, serving
 from tests.waiting import eventually
-from tests.wire.broker import Broker, free_tcp_port, needs_mosquitto, running_broker
+from tests.wire.broker import Broker, needs_mosquitto, running_broker
 
 pytestmark = needs_mosquitto
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from panoexec.sim.process import free_udp_port
+from panoexec.sim.ports import free_udp_port
 from tests.repository import ROOT
 from tests.system.systemd import CONFIG, LEFT, STATE, UNIT, nothing_left, running, sh, show, wait, why_not
 

@@ -23,7 +23,8 @@ from panoexec.mission.log.shot_record import Verdict
 from panoexec.mission.log.states import MissionState
 from panoexec.planning.model import Band, Constraints, Plan, Shot, Tolerance
 from panoexec.sim.config import AirframeConfig, CameraConfig, SimConfig
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from panoexec.store.directory import mission_directories
 from panoexec.store.journal import SqliteJournal
 

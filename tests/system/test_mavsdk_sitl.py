@@ -24,12 +24,13 @@ from panoexec.clock import SystemClock
 from panoexec.devices import EvidenceLevel
 from panoexec.dryrun.arducopter import BINARY_VARIABLE
 from panoexec.dryrun.autopilot import running_sitl, sitl_binary
-from panoexec.dryrun.firmware import SitlOptions, free_udp_ports
+from panoexec.dryrun.firmware import SitlOptions
 from panoexec.dryrun.pilot import MavsdkPilot
 from panoexec.dryrun.rigs import SitlVehicle
 from panoexec.mission.pointing.poses import read_pose
 from panoexec.planning.geometry.pose_error import pose_error
 from panoexec.sim.config import SimConfig
+from panoexec.sim.ports import free_udp_ports
 from tests.waiting import eventually
 
 SPEEDUP = 4.0

@@ -7,9 +7,9 @@ import contextlib
 import socket
 from pathlib import Path
 
-from panoexec.dryrun.firmware import free_udp_ports
 from panoexec.sim.config import SimConfig
 from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.ports import free_udp_ports
 from panoexec.sim.process import running_simulator
 from tests.system.daemon import ground_station, ready, serving
 from tests.wire.broker import needs_mosquitto, running_broker

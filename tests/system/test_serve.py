@@ -16,7 +16,8 @@ import pytest
 from panoexec.mqtt.discovery import discovery_messages
 from panoexec.mqtt.topics import Topics
 from panoexec.sim.config import SimConfig
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from tests.system.daemon import SMALL, SPEEDUP, ground_station, ready, serving
 from tests.wire.broker import Broker, needs_mosquitto, running_broker
 

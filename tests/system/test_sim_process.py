@@ -20,7 +20,8 @@ from panoexec.sim.config import SimConfig
 from panoexec.sim.mavlink.dialect import mavlink
 from panoexec.sim.mavlink.wire import UdpLink, attach
 from panoexec.sim.pacing import TIME_COMPONENT, TIME_MESSAGE, time_from_fields
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from tests.waiting import wait_until
 from tests.wire.sim_peer import EmbeddedPeer
 
@@ -187,7 +188,8 @@ PARENT = """
 import asyncio, pathlib, sys
 from panoexec.sim.config import SimConfig
 from panoexec.sim.pacing import TIME_COMPONENT, TIME_MESSAGE, time_from_fields
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 
 async def main():
     config = SimConfig(port=free_udp_port(), output=pathlib.Path(sys.argv[1]))

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import pytest
 
-from panoexec.dryrun.firmware import free_udp_ports
 from panoexec.sim.config import AirframeConfig
+from panoexec.sim.ports import free_udp_ports
 from tests.repository import ROOT
 from tests.system import sitl_runs
 from tests.system.dry_runs import accepted, dry_run, flown

@@ -16,7 +16,8 @@ from typing import Any
 import pytest
 
 from panoexec.sim.config import SimConfig
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from tests.system.daemon import Ground, ground_station, ready, write_config
 from tests.waiting import eventually
 from tests.wire.broker import needs_mosquitto, running_broker

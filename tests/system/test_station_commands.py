@@ -18,7 +18,8 @@ from typing import Any
 
 from panoexec.sim.config import SimConfig
 from panoexec.sim.mavlink.dialect import mavlink
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from tests.system.daemon import Ground, ground_station, ready, serving
 from tests.wire.broker import needs_mosquitto, running_broker
 

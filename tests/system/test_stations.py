@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from panoexec.dryrun.firmware import free_udp_ports
 from panoexec.sim.config import AirframeConfig, AutopilotKind, SimConfig
+from panoexec.sim.ports import free_udp_ports
 from panoexec.sim.process import running_simulator
 from tests.system.daemon import ground_station
 from tests.system.mission_pilot import Pilot

@@ -18,8 +18,9 @@ from statistics import median
 from typing import Any
 
 from panoexec.dryrun.autopilot import firmware_of, running_sitl
-from panoexec.dryrun.firmware import SitlOptions, free_udp_ports
+from panoexec.dryrun.firmware import SitlOptions
 from panoexec.sim.config import AirframeConfig, AxisConfig, GimbalConfig, SimConfig
+from panoexec.sim.ports import free_udp_ports
 from panoexec.sim.process import running_simulator
 from tests.support.truth import untruths
 from tests.system.daemon import Ground, ground_station, ready, serving

@@ -24,7 +24,8 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from panoexec.sim.config import AirframeConfig, SimConfig
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from tests.system.daemon import BASE, Ground, ready, serving
 from tests.system.test_storage import disk, fill
 from tests.waiting import eventually

@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from panoexec.sim.config import CameraConfig, SimConfig
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from tests.support.truth import untruths
 from tests.system.daemon import ground_station, ready, serving
 from tests.system.dry_runs import accepted, dry_run, flown, manifest_of

@@ -11,7 +11,8 @@ import pytest
 
 from panoexec.sim.config import SimConfig
 from panoexec.sim.faults import parse_fault
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from tests.support.web import base, browser, web_server
 from tests.system.daemon import SPEEDUP, serving
 from tests.wire.broker import needs_mosquitto, running_broker

@@ -13,24 +13,12 @@ from pathlib import Path
 
 import pytest
 
+from panoexec.sim.ports import free_tcp_port
+
 PATH = os.environ.get("PATH", "") + os.pathsep + "/usr/sbin" + os.pathsep + "/usr/local/sbin"
 MOSQUITTO = shutil.which("mosquitto", path=PATH)
 
 needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed (apt-get install mosquitto)")
-
-
-_GIVEN: set[int] = set()
-
-
-def free_tcp_port() -> int:
-    """A port that nobody listens at, never the same twice."""
-    while True:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = int(probe.getsockname()[1])
-        if port not in _GIVEN:
-            _GIVEN.add(port)
-            return port
 
 
 class Broker:

@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from panoexec.dryrun.autopilot import firmware_of, running_sitl, sitl_binary
-from panoexec.dryrun.firmware import SitlOptions, free_udp_ports
+from panoexec.dryrun.firmware import SitlOptions
 from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.ports import free_udp_ports
 from tests.wire.sim_peer import Heard, Peer, UdpPeer, command, result_of
 
 LATITUDE, LONGITUDE = 47.4, 8.5

@@ -15,7 +15,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from tests.wire.broker import PATH, free_tcp_port
+from panoexec.sim.ports import free_tcp_port
+from tests.wire.broker import PATH
 
 NATS = os.environ.get("PANOEXEC_NATS_SERVER") or shutil.which("nats-server", path=PATH)
 _RABBIT_PLACES = PATH + os.pathsep + "/usr/lib/rabbitmq/bin"

@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from panoexec.dryrun.autopilot import running_sitl, sitl_binary
-from panoexec.dryrun.firmware import SitlOptions, free_udp_ports
+from panoexec.dryrun.firmware import SitlOptions
 from panoexec.sim.config import SimConfig
 from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.ports import free_udp_ports
 from panoexec.sim.process import running_simulator
 from tests.wire.sim_peer import COMPONENT, SYSTEM, Heard, Peer, UdpPeer, command, result_of
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import socket
 import time
 from collections.abc import AsyncIterator, Callable
 from typing import Any, TypeAlias, TypeVar
 
 from panoexec.sim.mavlink.dialect import mavlink
+from panoexec.sim.ports import free_udp_port
 
 Answer: TypeAlias = Callable[[Any], int | None]
 """From a command to its MAV_RESULT; None is no answer at all."""
@@ -21,12 +21,6 @@ Answer: TypeAlias = Callable[[Any], int | None]
 ACCEPTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = 0, 2, 3, 4, 5
 NAN = math.nan
 _TICK_S = 0.01
-
-
-def free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class ScriptedPeer(asyncio.Protocol, asyncio.DatagramProtocol):

@@ -28,7 +28,8 @@ from panoexec.sim.mavlink.camera_settings import definition
 from panoexec.sim.mavlink.dialect import mavlink
 from panoexec.sim.photos import file_server
 from panoexec.sim.photos.file_server import serving_photos
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from tests.wire.scripted_peer import listening
 from tests.wire.test_mavsdk_camera import CameraPeer
 

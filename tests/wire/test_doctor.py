@@ -22,7 +22,8 @@ from panoexec.dryrun.rigs import SitlVehicle
 from panoexec.inputs.config import Config, load_config
 from panoexec.sim.config import CameraConfig, SimConfig
 from panoexec.sim.faults import parse_fault
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from tests.wire.broker import needs_mosquitto, running_broker
 
 SPEEDUP = 6.0

@@ -15,7 +15,8 @@ from panoexec.clock import SystemClock
 from panoexec.errors import PhotoFileError
 from panoexec.sim import settings
 from panoexec.sim.config import SimConfig
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 
 
 @asynccontextmanager

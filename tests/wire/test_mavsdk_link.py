@@ -20,8 +20,9 @@ import pytest
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
 from panoexec.clock import SystemClock
 from panoexec.errors import DeviceError, LinkError, UsageError
+from panoexec.sim.ports import free_udp_port
 from tests.waiting import eventually
-from tests.wire.scripted_peer import FAILED, IN_PROGRESS, ScriptedPeer, free_udp_port, listening
+from tests.wire.scripted_peer import FAILED, IN_PROGRESS, ScriptedPeer, listening
 
 CLOCK = SystemClock()
 

@@ -20,7 +20,8 @@ from panoexec.mission.pilot_messages import PilotMessenger
 from panoexec.planning.model import Shot
 from panoexec.sim.config import AirframeConfig, SimConfig
 from panoexec.sim.mavlink.dialect import mavlink
-from panoexec.sim.process import free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import running_simulator
 from tests.waiting import eventually
 from tests.wire.scripted_peer import ACCEPTED, FAILED, ScriptedPeer
 

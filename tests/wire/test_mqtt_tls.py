@@ -21,9 +21,10 @@ from panoexec.mqtt.certificates import certificate_validity, explained
 from panoexec.mqtt.ground_station import GroundStation
 from panoexec.mqtt.incoming import Incoming
 from panoexec.mqtt.link import MqttLink, running
+from panoexec.sim.ports import free_tcp_port
 from tests.repository import ROOT
 from tests.waiting import eventually
-from tests.wire.broker import PATH, Broker, free_tcp_port, needs_mosquitto, running_broker
+from tests.wire.broker import PATH, Broker, needs_mosquitto, running_broker
 from tests.wire.certificates import Authority, Issued, needs_openssl
 
 pytestmark = [needs_mosquitto, needs_openssl]

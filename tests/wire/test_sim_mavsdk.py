@@ -19,7 +19,8 @@ from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync, MavlinkMes
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 
 from panoexec.sim.config import SimConfig
-from panoexec.sim.process import SimulatorProcess, free_udp_port, running_simulator
+from panoexec.sim.ports import free_udp_port
+from panoexec.sim.process import SimulatorProcess, running_simulator
 
 SPEEDUP = 10.0
 """Discovery alone takes 5 s of the vehicle's time."""

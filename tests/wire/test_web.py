@@ -12,9 +12,10 @@ from typing import Any
 import aiohttp
 import pytest
 
+from panoexec.sim.ports import free_tcp_port
 from tests.support.web import MISSION, base, browser, fake_vehicle, web_server
 from tests.waiting import eventually
-from tests.wire.broker import Broker, free_tcp_port, needs_mosquitto, running_broker
+from tests.wire.broker import Broker, needs_mosquitto, running_broker
 from tests.wire.broker_proxy import broker_proxy
 
 pytestmark = needs_mosquitto

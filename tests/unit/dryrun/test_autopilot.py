@@ -14,8 +14,9 @@ import pytest
 
 from panoexec.dryrun.arducopter import BINARY_VARIABLE, PARAMETER_FILE
 from panoexec.dryrun.autopilot import running_sitl, sitl_binary
-from panoexec.dryrun.firmware import SitlOptions, free_udp_ports
+from panoexec.dryrun.firmware import SitlOptions
 from panoexec.errors import DeviceError, UsageError
+from panoexec.sim.ports import free_udp_ports
 from tests.repository import ROOT
 from tests.waiting import wait_until
 

@@ -14,10 +14,11 @@ from pathlib import Path
 import pytest
 
 from panoexec.dryrun.autopilot import firmware_of, running_sitl
-from panoexec.dryrun.firmware import SitlOptions, free_udp_ports
+from panoexec.dryrun.firmware import SitlOptions
 from panoexec.dryrun.rigs import SitlVehicle
 from panoexec.errors import UsageError
 from panoexec.sim.config import AirframeConfig, AxisConfig, GimbalConfig, SimConfig
+from panoexec.sim.ports import free_udp_ports
 from tests.waiting import wait_until
 
 STAND_IN = """

@@ -12,7 +12,7 @@ import pytest
 from panoexec.adapters.link.first_heartbeats import heartbeat, open_at_once
 from panoexec.inputs.vehicle_sections import VehicleSection
 from panoexec.sim.mavlink.dialect import mavlink
-from panoexec.sim.process import free_udp_port
+from panoexec.sim.ports import free_udp_port
 
 PACKETS_S = 0.01
 

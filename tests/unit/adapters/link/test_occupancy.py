@@ -11,7 +11,7 @@ from pathlib import Path
 
 from panoexec.adapters.link.connection_url import parse_connection
 from panoexec.adapters.link.occupancy import occupant
-from tests.wire.scripted_peer import free_udp_port
+from panoexec.sim.ports import free_udp_port
 
 HOLD_PORT = (
     "import socket,sys; s=socket.socket(socket.AF_INET,socket.SOCK_DGRAM); s.bind(('127.0.0.1',int(sys.argv[1])))"
