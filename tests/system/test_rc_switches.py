@@ -12,6 +12,7 @@ from panoexec.sim.mavlink.dialect import mavlink
 from panoexec.sim.ports import free_udp_ports
 from panoexec.sim.process import running_simulator
 from tests.system.daemon import ground_station, ready, serving
+from tests.waiting import eventually
 from tests.wire.broker import needs_mosquitto, running_broker
 
 pytestmark = needs_mosquitto
@@ -70,6 +71,31 @@ class Transmitter:
             one.close()
 
 
+def moves(log: Path) -> int:
+    """How many moved switches the daemon has obeyed."""
+    return log.read_text(encoding="utf-8").count("switch of the transmitter")
+
+
+async def moved_up(pilot: Transmitter, channel: int, log: Path) -> None:
+    """Move a switch down for longer than half a second and up, as often as it takes.
+
+    A daemon that gets no time for a second has heard nothing of the receiver for a second, and so obeys no switch that
+    was moved meanwhile.
+    """
+    before, down_s = moves(log), 1.5
+    async with asyncio.timeout(240):
+        while True:
+            pilot.set(channel, LOW)
+            await asyncio.sleep(down_s)
+            if moves(log) > before:
+                return
+            pilot.set(channel, HIGH)
+            with contextlib.suppress(TimeoutError):
+                await eventually(lambda: moves(log) > before, 6 * down_s)
+                return
+            down_s *= 2
+
+
 async def test_they_start_and_abort_when_they_are_moved(tmp_path: Path) -> None:
     near, far = free_udp_ports(2)
     with running_broker(tmp_path) as broker, contextlib.closing(Transmitter(near, far)) as pilot:
@@ -79,16 +105,13 @@ async def test_they_start_and_abort_when_they_are_moved(tmp_path: Path) -> None:
             serving(tmp_path, broker, far, more=RC, speedup=SPEEDUP),
         ):
             await ready(ground)
-            await asyncio.sleep(1.5)  # low for half a second
-            pilot.set(8, HIGH)
-            await ground.until(lambda: ground.state["state"] == "capturing")
+            await moved_up(pilot, 8, tmp_path / "serve.log")
+            await ground.until(lambda: "capturing" in ground.states)
             assert ground.state["name"] == "All around"
-            pilot.set(9, HIGH)
+            await moved_up(pilot, 9, tmp_path / "serve.log")
             await ground.until(lambda: ground.state["state"] == "aborted")
             await asyncio.sleep(2.5)  # both stand high still
             assert ground.types().count("mission_started") == 1
-            pilot.set(8, LOW)
-            await asyncio.sleep(1.5)
-            pilot.set(8, HIGH)
+            await moved_up(pilot, 8, tmp_path / "serve.log")
             await ground.until(lambda: ground.types().count("mission_started") == 2)
-            assert (tmp_path / "serve.log").read_text().count("switch of the transmitter") == 3
+            assert moves(tmp_path / "serve.log") == 3

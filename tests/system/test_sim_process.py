@@ -130,7 +130,7 @@ def test_listening_it_answers_whoever_talks_first() -> None:
     ):
         assert process.stderr is not None
         process.stderr.readline()
-        client.settimeout(10)
+        client.settimeout(60)
         heartbeat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
         client.sendto(heartbeat.pack(mavlink.MAVLink(None, 255, 190)), ("127.0.0.1", port))
         data = client.recv(65535)
@@ -228,8 +228,9 @@ def test_it_ends_at_once_while_it_waits_for_an_autopilot(stop: signal.Signals, c
             assert process.stderr is not None
             assert process.stderr.readline() == f"waiting for an autopilot at {url}\n"
             process.send_signal(stop)
-            _, err = process.communicate(timeout=20)  # it would wait for 30 s
-    assert process.returncode == code
+            _, err = process.communicate(timeout=90)
+    assert process.returncode == code, "it would say after 30 s that it has waited in vain"
+    assert "connection failed" not in err
     assert "Traceback" not in err
     assert "payload attached" not in err
 
@@ -238,7 +239,7 @@ async def test_the_payload_joins_an_autopilot_again_that_restarts() -> None:
     """A restarting SITL closes its TCP port and opens it again."""
     connections: asyncio.Queue[tuple[asyncio.StreamReader, asyncio.StreamWriter]] = asyncio.Queue()
     notes: list[str] = []
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(120):
         server = await asyncio.start_server(lambda r, w: connections.put_nowait((r, w)), "127.0.0.1", 0)
         config = SimConfig(attach_url=f"tcp:127.0.0.1:{server.sockets[0].getsockname()[1]}")
         async with running_simulator(config, note=notes.append):
@@ -257,7 +258,7 @@ async def test_the_payload_lives_the_time_that_its_autopilot_tells() -> None:
     """Five seconds pass at once, as the autopilot says, and none of them is skipped."""
     connections: asyncio.Queue[tuple[asyncio.StreamReader, asyncio.StreamWriter]] = asyncio.Queue()
     stamps_ms: list[int] = []
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(120):
         server = await asyncio.start_server(lambda r, w: connections.put_nowait((r, w)), "127.0.0.1", 0)
         config = SimConfig(attach_url=f"tcp:127.0.0.1:{server.sockets[0].getsockname()[1]}", speedup=0.01)
         async with running_simulator(config) as simulator:

@@ -22,7 +22,7 @@ async def autopilot() -> AsyncIterator[ScriptedPeer]:
 async def link(autopilot: ScriptedPeer) -> AsyncIterator[MavsdkLink]:
     """A link to `autopilot`, found."""
     async with MavsdkLink(autopilot.url, clock=SystemClock()) as one:
-        await one.wait_autopilot(10)
+        await one.wait_autopilot(60)
         yield one
 
 
@@ -37,5 +37,5 @@ async def gimbal_autopilot() -> AsyncIterator[GimbalPeer]:
 async def gimbal_link(gimbal_autopilot: GimbalPeer) -> AsyncIterator[MavsdkLink]:
     """A link to `gimbal_autopilot`, found."""
     async with MavsdkLink(gimbal_autopilot.url, clock=SystemClock()) as one:
-        await one.wait_autopilot(10)
+        await one.wait_autopilot(60)
         yield one

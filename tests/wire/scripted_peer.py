@@ -176,7 +176,7 @@ class ScriptedPeer(asyncio.Protocol, asyncio.DatagramProtocol):
                 self.others.append(message)
         self.came.set()
 
-    async def until(self, condition: Callable[[], object], timeout_s: float = 5.0) -> None:
+    async def until(self, condition: Callable[[], object], timeout_s: float = 30.0) -> None:
         """Return when a condition on what came is true."""
         async with asyncio.timeout(timeout_s):
             while not condition():

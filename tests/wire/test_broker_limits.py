@@ -315,7 +315,7 @@ async def test_where_a_daemon_could_not_see_another_one_it_keeps_its_client_id(
             name = client_id(link.topics)
             with structlog.testing.capture_logs() as logs:
                 await stolen(broker.port, name, "5")
-                await eventually(lambda: link._connections == 2)
+                await eventually(lambda: link._connections >= 2)
                 await stolen(broker.port, name, "5")
                 # mosquitto accepts any subscription, and checks the right to read when it delivers
                 await eventually(lambda: link._identifier != name)
@@ -334,12 +334,14 @@ async def test_the_doctor_asks_for_each_right_and_publishes_nothing_on_the_daemo
     lines = ["topic read panoexec/#", *(f"topic write panoexec/drone/{name}" for name in names)]
     rights.write_text("\n".join(lines) + "\n")
     with running_broker(tmp_path, settings=f"allow_anonymous true\nacl_file {rights}") as broker:
-        async with ground_station(broker) as ground, running(a_link(broker.port, [])) as link:
-            await eventually(lambda: ground.payloads("panoexec/drone/status") == [b"online"])
-            verdicts = {one.check: one.verdict for one in await doctors_findings(broker.port)}
-            link.publish(link.topics.event, b"afterwards")
-            await eventually(lambda: ground.payloads(link.topics.event))
-            assert link._connections == 1
+        async with ground_station(broker) as ground:
+            async with running(a_link(broker.port, [])) as link:
+                await eventually(lambda: ground.payloads("panoexec/drone/status") == [b"online"])
+                verdicts = {one.check: one.verdict for one in await doctors_findings(broker.port)}
+                link.publish(link.topics.event, b"afterwards")
+                await eventually(lambda: ground.payloads(link.topics.event))
+                assert link._connections == 1
+            await eventually(lambda: ground.payloads("panoexec/drone/status") == [b"online", b"offline"])
         heard = {topic for topic, _, _ in ground.seen}
         async with ground_station(broker) as late:
             await eventually(lambda: late.payloads("panoexec/drone/status"))
@@ -347,7 +349,6 @@ async def test_the_doctor_asks_for_each_right_and_publishes_nothing_on_the_daemo
     assert (verdicts["state"], verdicts["status"], verdicts["event"]) == ("missing", "ok", "ok")
     assert heard == {"panoexec/drone/status", "panoexec/drone/event", "panoexec/drone/response/probe"}
     assert ground.payloads(link.topics.event) == [b"afterwards"]
-    assert ground.payloads("panoexec/drone/status") == [b"online", b"offline"]
 
 
 @pytest.mark.parametrize("payload", [b"", b"no json", b"[]", b'{"boot_id": 7}', a_state("mine")])

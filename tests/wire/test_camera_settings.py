@@ -86,7 +86,7 @@ async def camera_of(peer: CameraPeer, lock: LockSection, *, hosts: tuple[str, ..
         MavsdkLink(peer.url, clock=CLOCK, files=FileUrls(hosts=hosts)) as link,
         MavsdkCamera(link, lock=lock) as camera,
     ):
-        await link.wait_autopilot(10)
+        await link.wait_autopilot(60)
         yield camera
 
 
@@ -99,7 +99,7 @@ async def test_the_simulated_cameras_settings_are_made_read_back_and_put_back() 
         MavsdkLink(f"udpin://127.0.0.1:{port}", clock=CLOCK, files=files) as link,
         MavsdkCamera(link, lock=MANUAL) as camera,
     ):
-        await link.wait_autopilot(10)
+        await link.wait_autopilot(60)
         told = ExtendedParameters(link, component=lambda: 100)
 
         async def values() -> dict[str, float | str]:

@@ -27,7 +27,7 @@ async def _files(card: Path, *, max_bytes: int = 1 << 20) -> AsyncIterator[tuple
         running_simulator(simulation),
         MavsdkLink(f"udpin://127.0.0.1:{port}", clock=SystemClock()) as link,
     ):
-        await link.wait_autopilot(10)
+        await link.wait_autopilot(60)
         yield (
             MavlinkFtpFiles(lambda: link, component=lambda: 100, burst=lambda: burst[0], max_bytes=max_bytes),
             burst,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import time
 from collections.abc import AsyncIterator
@@ -27,6 +28,8 @@ from tests.wire.scripted_peer import ACCEPTED, DENIED, ScriptedPeer, listening
 CLOCK = SystemClock()
 COUNTED, CAPTURED = EvidenceLevel.COUNTED, EvidenceLevel.CAPTURE_MESSAGE
 SHOOT = 2000
+LONG_S = 30.0
+"""For evidence that comes."""
 
 
 def text(value: str, size: int) -> list[int]:
@@ -39,6 +42,8 @@ class CameraPeer(ScriptedPeer):
     Attributes:
         component: of the camera.
         images: photos taken.
+        counted: photos that it says it has taken, if not all of them. MAVSDK asks for that every five seconds, whenever
+            that falls, and each photo more proves one.
         report_s: from photo to report; None reports nothing.
         urls: where photos are said to be.
         camera_boot_s: the camera booted that much before the autopilot.
@@ -52,6 +57,7 @@ class CameraPeer(ScriptedPeer):
         super().__init__()
         self.component = component
         self.images = 0
+        self.counted: int | None = None
         self.report_s: float | None = 0.02
         self.urls = "http://camera/{}.jpg"
         self.camera_boot_s = 500.0
@@ -117,7 +123,8 @@ class CameraPeer(ScriptedPeer):
         )
 
     def capture_status(self) -> Any:
-        return mavlink.MAVLink_camera_capture_status_message(self.camera_ms(), 0, 0, 0, 0, self.free_mib, self.images)
+        images = self.images if self.counted is None else self.counted
+        return mavlink.MAVLink_camera_capture_status_message(self.camera_ms(), 0, 0, 0, 0, self.free_mib, images)
 
     def _information(self) -> Any:
         own = self.component > 6
@@ -153,7 +160,7 @@ async def eye() -> AsyncIterator[CameraPeer]:
 async def camera(eye: CameraPeer, tmp_path: Path) -> AsyncIterator[MavsdkCamera]:
     files = FileUrls(hosts=("camera",), folders=(tmp_path,))
     async with MavsdkLink(eye.url, clock=CLOCK, files=files) as link, MavsdkCamera(link) as one:
-        await link.wait_autopilot(10)
+        await link.wait_autopilot(60)
         await counting(one)
         yield one
 
@@ -169,7 +176,7 @@ async def servo() -> AsyncIterator[CameraPeer]:
 @pytest.fixture
 async def servo_camera(servo: CameraPeer) -> AsyncIterator[MavsdkCamera]:
     async with MavsdkLink(servo.url, clock=CLOCK) as link, MavsdkCamera(link, component=1) as one:
-        await link.wait_autopilot(10)
+        await link.wait_autopilot(60)
         await counting(one)
         yield one
 
@@ -187,7 +194,7 @@ async def test_a_camera_of_its_own_is_found_and_says_how_much_fits(camera: Mavsd
     assert (found.image_width_px, found.image_height_px) == (5280, 3956)
     await eventually(lambda: math.isfinite(camera.storage_free_images))
     assert 200 < camera.storage_free_images < 400
-    assert camera.age_s < 1.0
+    await eventually(lambda: camera.age_s < 1.0)
 
 
 async def test_a_photo_is_proven_by_the_cameras_report(eye: CameraPeer, camera: MavsdkCamera) -> None:
@@ -195,7 +202,7 @@ async def test_a_photo_is_proven_by_the_cameras_report(eye: CameraPeer, camera: 
     before = CLOCK.monotonic()
     capture = await protocol.trigger()
     assert before <= capture.commanded_s <= capture.acknowledged_s <= CLOCK.monotonic()
-    found = await capture.evidence(CAPTURED, 5.0)
+    found = await capture.evidence(CAPTURED, LONG_S)
     assert found.level is CAPTURED
     assert (found.image_index, found.file_url) == (1, "http://camera/1.jpg")
     assert found.time_utc_s == pytest.approx(1_795_330_661.5)
@@ -206,18 +213,25 @@ async def test_a_photo_is_proven_by_the_cameras_report(eye: CameraPeer, camera: 
 
 
 async def test_the_trigger_reaches_the_wire_at_once(eye: CameraPeer, camera: MavsdkCamera) -> None:
-    """No wait in between: half of the triggers within 25 ms on any machine (the bench `capturing` has the tail)."""
-    delays, stamps = [], []
-    for _ in range(40):
-        asked = time.monotonic()
-        capture = await camera.trigger()
-        wire = eye.arrivals[-1]
-        delays.append(wire - asked)
-        stamps.append(wire - capture.commanded_s)
-        await asyncio.sleep(0.02)
-    assert sorted(delays)[20] < 0.025
-    assert min(stamps) >= 0.0  # the exposure is not earlier than `commanded_s`
-    assert sorted(stamps)[20] < 0.025
+    """No wait in between: half of the triggers within 25 ms on any machine (the bench `capturing` has the tail).
+
+    A busy machine is late now and then; a wait in the program would be in every series.
+    """
+    for _ in range(10):
+        delays, stamps = [], []
+        for _ in range(40):
+            asked = time.monotonic()
+            capture = await camera.trigger()
+            wire = next(
+                at for at, one in zip(eye.arrivals[::-1], eye.commands[::-1], strict=True) if one.command == SHOOT
+            )
+            delays.append(wire - asked)
+            stamps.append(wire - capture.commanded_s)
+            await asyncio.sleep(0.02)
+        assert min(stamps) >= 0.0  # the exposure is not earlier than `commanded_s`
+        if sorted(delays)[20] < 0.025 and sorted(stamps)[20] < 0.025:
+            return
+    pytest.fail(f"in none of ten series: the last one took {sorted(delays)}")
 
 
 @pytest.mark.parametrize("answers_first", [False, True])
@@ -237,7 +251,7 @@ async def test_the_clocks_stay_bounded_although_other_stamps_are_fresh(
         eye.send(eye._information(), 100)
         await asyncio.sleep(0.02)  # it is the newest stamp
         taken = await camera.trigger()
-        found = await taken.evidence(CAPTURED, 3.0)
+        found = await taken.evidence(CAPTURED, LONG_S)
         number += 1
         bounded += math.isfinite(found.opened_s[0])
     assert bounded == 3
@@ -249,22 +263,22 @@ def trips(camera: MavsdkCamera, enough: int) -> bool:
 
 
 async def test_reports_twice_late_and_lost_are_told_apart(eye: CameraPeer, camera: MavsdkCamera) -> None:
-    eye.report_s = None
+    eye.report_s, eye.counted = None, 0
     first = await camera.trigger()
     second = await camera.trigger()
     one, two = eye.reported
     eye.send(two, 100)
     eye.send(two, 100)
-    assert (await second.evidence(CAPTURED, 3.0)).image_index == 2
+    assert (await second.evidence(CAPTURED, LONG_S)).image_index == 2
     assert (await first.evidence(CAPTURED, 0.0)).level is EvidenceLevel.ACKNOWLEDGED
     eye.send(one, 100)
-    assert (await first.evidence(CAPTURED, 3.0)).image_index == 1
+    assert (await first.evidence(CAPTURED, LONG_S)).image_index == 1
     assert (await second.evidence(CAPTURED, 0.0)).duplicates == 1
     assert camera.surplus_photos == 0
 
 
 async def test_a_foreign_photo_proves_nothing(eye: CameraPeer, camera: MavsdkCamera) -> None:
-    eye.report_s = None
+    eye.report_s, eye.counted = None, 0
     eye.send(eye.captured(77), 100)
     await eventually(lambda: camera.surplus_photos == 1)
     capture = await camera.trigger()
@@ -274,7 +288,7 @@ async def test_a_foreign_photo_proves_nothing(eye: CameraPeer, camera: MavsdkCam
 async def test_a_lost_report_is_asked_for(eye: CameraPeer, camera: MavsdkCamera) -> None:
     eye.report_s = None
     capture = await camera.trigger()
-    found = await capture.evidence(CAPTURED, 8.0)
+    found = await capture.evidence(CAPTURED, LONG_S)
     assert (found.level, found.image_index) == (CAPTURED, 1)
     asked = [command for command in eye.sent(512) if command.param1 == 263]
     assert asked[0].param2 == 0  # by the protocol, the first image is number 0
@@ -284,26 +298,25 @@ async def test_a_count_is_better_than_nothing(eye: CameraPeer, camera: MavsdkCam
     eye.report_s = None
     del eye.builders[263]
     capture = await camera.trigger()
-    assert (await capture.evidence(COUNTED, 8.0)).level is COUNTED
+    assert (await capture.evidence(COUNTED, LONG_S)).level is COUNTED
 
 
 async def test_a_failed_photo_is_known_at_once(eye: CameraPeer, camera: MavsdkCamera) -> None:
-    eye.result = 0
+    eye.result, eye.counted = 0, 0
     capture = await camera.trigger()
-    began = time.monotonic()
-    assert (await capture.evidence(COUNTED, 8.0)).level is EvidenceLevel.ACKNOWLEDGED
-    assert time.monotonic() - began < 2.0
+    async with asyncio.timeout(LONG_S):  # long before it would give up
+        assert (await capture.evidence(COUNTED, 100 * LONG_S)).level is EvidenceLevel.ACKNOWLEDGED
 
 
 async def test_a_camera_without_a_clock_is_told_by_its_index(eye: CameraPeer, camera: MavsdkCamera) -> None:
-    eye.tells_time = False
+    eye.tells_time, eye.counted = False, 0
     first = await camera.trigger()
-    assert (await first.evidence(CAPTURED, 3.0)).image_index == 1
+    assert (await first.evidence(CAPTURED, LONG_S)).image_index == 1
     eye.report_s = None
     second = await camera.trigger()
     third = await camera.trigger()
     eye.send(eye.reported[2], 100)
-    assert (await third.evidence(CAPTURED, 3.0)).image_index == 3
+    assert (await third.evidence(CAPTURED, LONG_S)).image_index == 3
     assert (await second.evidence(CAPTURED, 0.0)).level is EvidenceLevel.ACKNOWLEDGED
 
 
@@ -312,9 +325,9 @@ async def test_a_file_of_this_machine_is_seen_when_it_is_there(
 ) -> None:
     eye.urls = f"file://{tmp_path}/IMG%20{{}}.jpg"
     capture = await camera.trigger()
-    assert (await capture.evidence(CAPTURED, 3.0)).level is CAPTURED
+    assert (await capture.evidence(CAPTURED, LONG_S)).level is CAPTURED
     (tmp_path / "IMG 1.jpg").write_bytes(b"\xff\xd8")
-    assert (await capture.evidence(EvidenceLevel.FILE_SEEN, 5.0)).level is EvidenceLevel.FILE_SEEN
+    assert (await capture.evidence(EvidenceLevel.FILE_SEEN, LONG_S)).level is EvidenceLevel.FILE_SEEN
 
 
 async def test_refusal_and_silence_are_device_errors(eye: CameraPeer, camera: MavsdkCamera) -> None:
@@ -329,7 +342,7 @@ async def test_refusal_and_silence_are_device_errors(eye: CameraPeer, camera: Ma
 
 async def test_an_unanswered_trigger_may_still_have_taken_its_photo(eye: CameraPeer, camera: MavsdkCamera) -> None:
     """Its late report must not be taken for the next trigger's."""
-    eye.report_s = None
+    eye.report_s, eye.counted = None, 0
 
     def silently(command: Any) -> None:
         if not eye.images:
@@ -349,10 +362,12 @@ async def test_an_unanswered_trigger_may_still_have_taken_its_photo(eye: CameraP
 async def test_no_card_means_no_photo_and_no_answer_means_no_limit(eye: CameraPeer, status: int, free: float) -> None:
     eye.storage_status = status
     async with MavsdkLink(eye.url, clock=CLOCK) as link, MavsdkCamera(link, mib_per_image=10.0) as camera:
-        await link.wait_autopilot(10)
+        await link.wait_autopilot(60)
         await camera.discover()
-        await eventually(lambda: camera.age_s < 1.0)
-        await asyncio.sleep(0.1)
+        told: list[object] = []
+        link.on("STORAGE_INFORMATION", told.append)  # called after the camera's own handler
+        eye.send(eye._storage(), 100)
+        await eventually(lambda: told)
         assert camera.storage_free_images == free
 
 
@@ -363,7 +378,7 @@ async def test_a_shutter_on_the_autopilot_is_found_and_counted(servo: CameraPeer
     assert not found.feedback_pin
     assert servo_camera.storage_free_images == math.inf
     capture = await servo_camera.trigger()
-    evidence = await capture.evidence(COUNTED, 3.0)
+    evidence = await capture.evidence(COUNTED, LONG_S)
     assert (evidence.level, evidence.image_index) == (COUNTED, 1)
     assert evidence.time_utc_s == pytest.approx(1_795_330_661.5)
     assert math.isnan(evidence.exposed_vehicle_s)
@@ -374,11 +389,11 @@ async def test_a_wired_hot_shoe_proves_more(servo: CameraPeer) -> None:
     servo.parameters["CAM1_FEEDBAK_PIN"] = 54
     servo.report_s = None
     async with MavsdkLink(servo.url, clock=CLOCK) as link, MavsdkCamera(link) as camera:
-        await link.wait_autopilot(10)
+        await link.wait_autopilot(60)
         assert (await camera.discover()).feedback_pin
         capture = await camera.trigger()
         servo.send(servo.feedback(1, time_us=12_500_000))
-        evidence = await capture.evidence(EvidenceLevel.FEEDBACK_PIN, 3.0)
+        evidence = await capture.evidence(EvidenceLevel.FEEDBACK_PIN, LONG_S)
         assert evidence.level is EvidenceLevel.FEEDBACK_PIN
         assert evidence.exposed_vehicle_s == 12.5
         assert math.isnan(evidence.time_utc_s)
@@ -396,9 +411,18 @@ async def test_no_camera_says_what_is_missing(autopilot: ScriptedPeer, link: Mav
 
 async def test_the_camera_asked_for_is_taken_or_missed(eye: CameraPeer) -> None:
     async with MavsdkLink(eye.url, clock=CLOCK) as link, MavsdkCamera(link, component=102) as camera:
-        await link.wait_autopilot(10)
+        await link.wait_autopilot(60)
+
+        async def looked() -> bool:  # it asks for what is listed while it looks
+            with contextlib.suppress(DeviceError):
+                await camera.discover(timeout_s=0.3)
+            return bool(camera.candidates)
+
+        async with asyncio.timeout(LONG_S):
+            while not await looked():  # noqa: ASYNC110
+                await asyncio.sleep(0)
         with pytest.raises(DeviceError, match="component 102 is configured, but MAVSDK found: 100"):
-            await camera.discover(timeout_s=2.0)
+            await camera.discover(timeout_s=0.3)
 
 
 async def test_a_focal_length_from_the_autopilots_table_is_no_evidence(servo: CameraPeer) -> None:
@@ -408,7 +432,7 @@ async def test_a_focal_length_from_the_autopilots_table_is_no_evidence(servo: Ca
         0, text("Siyi", 32), text("A8", 32), 0, 21.0, 0, 0, 0, 0, 0, 2, 0, b""
     )
     async with MavsdkLink(servo.url, clock=CLOCK) as link, MavsdkCamera(link, component=1) as camera:
-        await link.wait_autopilot(10)
+        await link.wait_autopilot(60)
         found = await camera.discover()
         assert (found.vendor, found.focal_length_mm) == ("Siyi", 21.0)
         assert math.isnan(camera.focal_length_mm)

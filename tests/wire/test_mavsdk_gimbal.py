@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import itertools
 import math
-import time
 from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
 
+from panoexec.adapters.gimbal import mavsdk_gimbal
 from panoexec.adapters.gimbal.feedback_kind import Feedback
 from panoexec.adapters.gimbal.mavsdk_gimbal import MavsdkGimbal
 from panoexec.adapters.link.mavsdk_link import MavsdkLink
@@ -52,7 +51,7 @@ async def test_is_found_with_its_limits(gimbal: MavsdkGimbal) -> None:
     assert limits is not None
     assert (limits.pitch_min_deg, limits.pitch_max_deg) == (-90.0, 28.648)
     assert limits.yaw_endless
-    assert gimbal.age_s < 1.0
+    await eventually(lambda: gimbal.age_s < 1.0)
 
 
 async def test_is_not_found_without_its_attitude_and_says_which_message_is_missing(
@@ -84,13 +83,20 @@ async def test_is_found_only_once_its_attitude_tells_who_sends_it(
     gimbal_autopilot: GimbalPeer, gimbal_link: MavsdkLink
 ) -> None:
     gimbal_autopilot.parameters["MNT1_TYPE"] = 7
-    attitude = gimbal_autopilot.builders.pop(285)
+    await gimbal_autopilot.until(lambda: 285 in gimbal_autopilot.streams)
+    attitude, interval_s = gimbal_autopilot.builders.pop(285), gimbal_autopilot.streams.pop(285)
+    # no attitude is under way any more, as the answer arrives after all that was sent before it
+    last_ms = gimbal_autopilot.boot_ms()
+    await asyncio.sleep(0.002)
+    await gimbal_link.requests.message(
+        33, "GLOBAL_POSITION_INT", fits=lambda message: message.fields["time_boot_ms"] > last_ms
+    )
     async with MavsdkGimbal(gimbal_link) as gimbal:
         await gimbal_autopilot.until(lambda: any(ask.param1 == 280 for ask in gimbal_autopilot.sent(512)))
         finding = asyncio.create_task(gimbal.discover())
         await eventually(lambda: gimbal.limits is not None)
         assert not finding.done()
-        gimbal_autopilot.builders[285] = attitude
+        gimbal_autopilot.builders[285], gimbal_autopilot.streams[285] = attitude, interval_s
         assert (await finding).feedback == "none"
 
 
@@ -117,9 +123,10 @@ async def test_taking_it_is_not_believed_without_confirmation(
 
 
 async def test_a_confirmation_that_is_lost_is_asked_for_again(
-    gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal
+    gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With a manager that sends its status on request only."""
+    monkeypatch.setattr(mavsdk_gimbal, "_TAKE_S", 30.0)  # it does not need to be asked quickly
     requested, interval, asked = gimbal_autopilot.answers[512], gimbal_autopilot.answers[511], []
 
     def loses_the_first(command: Any) -> int | None:
@@ -177,35 +184,53 @@ async def test_does_not_point_nowhere(gimbal_autopilot: GimbalPeer, gimbal: Mavs
 
 
 async def test_pointing_at_a_dead_link_is_a_link_error_and_release_is_bounded(
-    gimbal_autopilot: GimbalPeer, gimbal_link: MavsdkLink, gimbal: MavsdkGimbal
+    gimbal_autopilot: GimbalPeer,
+    gimbal_link: MavsdkLink,
+    gimbal: MavsdkGimbal,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    async def never(*_: object, **__: object) -> None:
+        await asyncio.Event().wait()
+
     await gimbal.acquire()
     gimbal_autopilot.close()
-    await eventually(lambda: not gimbal_link.connected, 6)
+    await eventually(lambda: not gimbal_link.connected)
     with pytest.raises(LinkError, match="no link to the autopilot"):
         await gimbal.point(0.0, 0.0)
-    began = time.monotonic()
     await gimbal.release()
-    assert time.monotonic() - began < 3.0
+    assert mavsdk_gimbal._RELEASE_S < 3.0
+    monkeypatch.setattr(gimbal._commands, "release", never)
+    async with asyncio.timeout(30):
+        await gimbal.release()
 
 
 async def test_the_feed_delivers_what_was_sent_when_it_comes(
     gimbal_autopilot: GimbalPeer, gimbal: MavsdkGimbal
 ) -> None:
+    sent_s: list[float] = []
+    attitude = gimbal_autopilot.attitude
+
+    def noted() -> Any:
+        message = attitude()
+        sent_s.append(message.time_boot_ms / 1000)
+        return message
+
     await gimbal.acquire()
-    gimbal.feed.ingest()
-    latest = gimbal.feed.latest
-    assert latest is not None
-    newest = latest.received_s
-    stamps = []
+    assert gimbal_autopilot.streams[285] == pytest.approx(1 / 50)
+    gimbal_autopilot.builders[285] = noted
+    first = await gimbal.feed.newer_than(-math.inf)
+    async with asyncio.timeout(30):
+        while not sent_s or first.vehicle_s < sent_s[0]:
+            first = await gimbal.feed.newer_than(first.received_s)
+    newest = first.received_s
     for _ in range(20):
         sample = await gimbal.feed.newer_than(newest)
         assert sample.received_s > newest
         newest = sample.received_s
-        stamps.append(sample.vehicle_s)
-    assert len(gimbal.feed.since(latest.received_s)) >= 20
-    gaps = [b - a for a, b in itertools.pairwise(stamps)]
-    assert 0.01 < sum(gaps) / len(gaps) < 0.04
+    came_s = [first.vehicle_s, *(one.vehicle_s for one in gimbal.feed.since(first.received_s))]
+    assert len(came_s) >= 20
+    begin = sent_s.index(came_s[0])
+    assert came_s == sent_s[begin : begin + len(came_s)], "each of them, in order"
     gimbal_autopilot.q = [NAN] * 4
     gimbal_autopilot.rates = (NAN, 0.0, 0.0)
     gimbal_autopilot.failures = 32
@@ -280,10 +305,11 @@ async def test_the_gimbals_own_reports_spare_the_autopilots_copy(
     # when they fall silent, the gimbal is silent, whoever else tells attitudes
     async with telling(gimbal_autopilot, 171, flags=44), telling(gimbal_autopilot, 155, flags=44):
         gimbal_autopilot.beat(155, 26)
+        # when theirs have come, the last ones of the gimbal have come before
+        await eventually(lambda: gimbal.known.strangers == {155, 171})
         gimbal.feed.ingest()
         silent = gimbal.feed.latest
         assert silent is not None
-        await eventually(lambda: gimbal.known.strangers == {155, 171})
         await asyncio.sleep(1.2)
         gimbal.feed.ingest()
         assert gimbal.feed.latest == silent
@@ -308,7 +334,7 @@ async def test_a_configured_manager_that_is_not_there_is_named(
     gimbal_autopilot: GimbalPeer, gimbal_link: MavsdkLink
 ) -> None:
     async with MavsdkGimbal(gimbal_link, manager=42) as gimbal:
-        await eventually(lambda: bool(gimbal.candidates) and gimbal.reports.has_any, 15)
+        await eventually(lambda: bool(gimbal.candidates) and gimbal.reports.has_any)
         with pytest.raises(DeviceError, match=r"\[gimbal\] manager = 42, device = 0 is none of unnamed \(manager 1"):
             await gimbal.discover(timeout_s=0.5)
 
@@ -369,16 +395,17 @@ async def test_the_stream_comes_back_after_a_reboot_in_flight(
 ) -> None:
     gimbal_autopilot.boot_at -= 1000
     await gimbal.acquire()
-    await asyncio.sleep(0.2)
+
+    def vehicle_s() -> float:
+        gimbal.feed.ingest()
+        return gimbal.feed.latest.vehicle_s if gimbal.feed.latest is not None else math.nan
+
+    await eventually(lambda: vehicle_s() > 1000)
     gimbal_autopilot.control = (0, 0)
     gimbal_autopilot.reboot()
-    gimbal.feed.ingest()
-    silent = gimbal.feed.latest
-    assert silent is not None
-    sample = await asyncio.wait_for(gimbal.feed.newer_than(silent.received_s + 0.3), 10)
-    assert sample.vehicle_s < 100
+    await eventually(lambda: vehicle_s() < 100)
     await eventually(lambda: gimbal_link.boot_count == 1)
-    assert gimbal_autopilot.streams[285] == pytest.approx(1 / 50)
+    await eventually(lambda: gimbal_autopilot.streams.get(285) == pytest.approx(1 / 50))
     await eventually(lambda: not gimbal.in_control)
     await gimbal.acquire()
     assert gimbal.in_control
@@ -390,15 +417,18 @@ async def test_a_daemon_that_waits_looks_only_now_and_then(gimbal_autopilot: Gim
         MavsdkLink(gimbal_autopilot.url, clock=SystemClock(), throttling=True) as link,
         MavsdkGimbal(link) as gimbal,
     ):
-        await link.wait_autopilot(10)
+        await link.wait_autopilot(60)
+        heard: list[int] = []
+        link.on("GIMBAL_DEVICE_ATTITUDE_STATUS", lambda message: heard.append(message.component_id))
         await link.use_rates(active=False)
         own = 0
-        async with asyncio.timeout(20):
-            while len(gimbal.feed.since(0.0)) < 3:
+        async with asyncio.timeout(60):
+            # each look may bring what has waited meanwhile
+            while heard.count(DEVICE) < 3 or own < 10 * heard.count(DEVICE):
                 gimbal_autopilot.send(gimbal_autopilot.attitude(device=0), DEVICE)
                 own += 1
                 await asyncio.sleep(0.01)
-        assert own >= 10 * 3
+        assert len(gimbal.feed.since(0.0)) >= 3
         # a mission has them all
         await link.use_rates(active=True)
         gimbal.feed.ingest()

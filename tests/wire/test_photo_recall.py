@@ -45,7 +45,7 @@ async def _first_life(peer: CameraPeer, photos: int) -> list[float]:
     """Photos of an earlier process; the wall times of their triggers."""
     times = []
     async with MavsdkLink(peer.url, clock=CLOCK) as link, MavsdkCamera(link, component=peer.component) as camera:
-        await link.wait_autopilot(10)
+        await link.wait_autopilot(60)
         for _ in range(photos):
             capture: PendingCapture = await camera.trigger()
             times.append(time.time() - (CLOCK.monotonic() - capture.commanded_s))
@@ -56,7 +56,7 @@ async def test_the_last_photos_are_told_with_their_times() -> None:
     async with listening(RememberingPeer()) as peer:
         triggers = await _first_life(peer, 5)
         async with MavsdkLink(peer.url, clock=CLOCK) as link, MavsdkCamera(link) as camera:
-            await link.wait_autopilot(10)
+            await link.wait_autopilot(60)
             assert isinstance(camera, PhotoRecall)
             found = await camera.recall()
             assert found.image_count == 5
@@ -78,7 +78,7 @@ async def test_stamps_from_before_a_reboot_of_the_camera_are_not_believed() -> N
         peer.camera_boot_s = 0.0
         peer.boot_at = time.monotonic()
         async with MavsdkLink(peer.url, clock=CLOCK) as link, MavsdkCamera(link) as camera:
-            await link.wait_autopilot(10)
+            await link.wait_autopilot(60)
             found = await camera.recall()
             assert [photo.exposed_utc_s for photo in found.photos] == pytest.approx([FAR_UTC_S])
 
@@ -87,7 +87,7 @@ async def test_an_autopilot_tells_its_last_trigger() -> None:
     async with listening(RememberingPeer(component=1)) as peer:
         await _first_life(peer, 2)
         async with MavsdkLink(peer.url, clock=CLOCK) as link, MavsdkCamera(link, component=1) as camera:
-            await link.wait_autopilot(10)
+            await link.wait_autopilot(60)
             found = await camera.recall()
             assert found.image_count == 2
             (photo,) = found.photos
@@ -100,7 +100,7 @@ async def test_a_camera_that_only_counts_tells_its_count() -> None:
         peer.parameters["CAM1_FEEDBAK_PIN"] = -1
         await _first_life(peer, 2)
         async with MavsdkLink(peer.url, clock=CLOCK) as link, MavsdkCamera(link, component=1) as camera:
-            await link.wait_autopilot(10)
+            await link.wait_autopilot(60)
             found = await camera.recall()
             assert (found.photos, found.image_count) == ((), 2)
 
@@ -110,7 +110,7 @@ async def test_the_count_before_a_trigger_is_known_only_if_it_includes_every_pho
         peer.report_s = None
         del peer.builders[263]
         async with MavsdkLink(peer.url, clock=CLOCK) as link, MavsdkCamera(link) as camera:
-            await link.wait_autopilot(10)
+            await link.wait_autopilot(60)
             await camera.recall()
             assert camera.image_count == 0
             capture = await camera.trigger()
@@ -125,7 +125,7 @@ async def test_a_camera_that_says_nothing_is_a_device_error() -> None:
         MavsdkLink(peer.url, clock=CLOCK) as link,
         MavsdkCamera(link) as camera,
     ):
-        await link.wait_autopilot(10)
+        await link.wait_autopilot(60)
         await camera.discover()
         del peer.builders[262]
         with pytest.raises(DeviceError, match="CAMERA_CAPTURE_STATUS"):
