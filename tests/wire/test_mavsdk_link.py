@@ -447,7 +447,7 @@ async def test_nothing_is_left_in_the_temporary_folder(tmp_path: Path, monkeypat
     old.mkdir()
     os.utime(old, (1.0, 1.0))
     async with listening(ScriptedPeer()) as peer, MavsdkLink(peer.url, clock=CLOCK) as link:
-        await link.wait_autopilot(10)
+        await link.wait_autopilot(60)
         full.mkdir()
         (full / "file").touch()
         assert len(_inside(tmp_path)) > 2
