@@ -241,7 +241,6 @@ async def test_the_clocks_stay_bounded_although_other_stamps_are_fresh(
     """MAVSDK asks the camera all the time: such stamps are no answers to us, and prove no round trip."""
     monkeypatch.setattr(camera_reports, "_BOUND_S", 0.05)
     monkeypatch.setattr(camera_reports, "_SPREAD_S", ())
-    monkeypatch.setattr(camera_reports, "_RELATED_S", LONG_S)
     eye.answers_first = answers_first
     await camera._reports.relate()
     known = camera._reports.stamps.trips
