@@ -7,7 +7,6 @@ is called, so that `panoexec --help` and `panoexec cameras` respond immediately.
 from __future__ import annotations
 
 import argparse
-import difflib
 import importlib
 import os
 import sys
@@ -18,6 +17,8 @@ from typing import Any, NoReturn
 import panoexec
 from panoexec.cli.streams import discard_output, is_broken_pipe, make_lenient
 from panoexec.errors import DependencyError, PanoexecError, UsageError, to_install
+from panoexec.mqtt.topics import COMMANDS as REQUESTS
+from panoexec.suggestions import did_you_mean
 
 EXIT_DONE = 0
 EXIT_INTERRUPTED = 130
@@ -153,9 +154,8 @@ def _check_options(parser: Parser, words: Sequence[str]) -> None:
         if word == "--":
             return
         if word.startswith("--") and option not in known:
-            near = difflib.get_close_matches(option, known, n=1)
-            hint = f": did you mean {near[0]}?" if near else ""
-            raise UsageError(f"unknown option {option}{hint} (see {parser.prog} --help)")
+            hint = did_you_mean(option, known)
+            raise UsageError(f"unknown option {option}{hint and f': {hint}'} (see {parser.prog} --help)")
 
 
 def parser_of(name: str, module: Any) -> Parser:
@@ -210,6 +210,6 @@ def _overview() -> str:
 
 
 def _unknown_command(name: str) -> str:
-    near = difflib.get_close_matches(name, [*COMMANDS, "help", "version"], n=1)
-    hint = f"did you mean {near[0]!r}?" if near else f"commands are {', '.join(COMMANDS)}"
+    said = {one: f"send {one}" for one in REQUESTS} | {one: one for one in (*COMMANDS, "help", "version")}
+    hint = did_you_mean(name, said, quoted=True) or f"commands are {', '.join(COMMANDS)}"
     return f"unknown command {name!r}: {hint} (see panoexec --help)"

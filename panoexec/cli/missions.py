@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 
-from panoexec.cli.output import note, print_json, print_table
+from panoexec.cli.output import local_time, note, print_json, print_table
 from panoexec.cli.storage_options import add_storage_arguments, storage_of
 from panoexec.store.listing import list_missions
 
@@ -32,12 +32,15 @@ def run(args: argparse.Namespace) -> int:
     if not found:
         note(f"{storage}: no missions")
         return 0
+    began = {entry.mission_id: local_time(entry.mission_id, "%Y-%m-%d %H:%M") for entry in found}
+    local = ("local time",) if any(began.values()) else ()
     print_table(
         "",
-        ("mission", "name", "state", "shots", "photos", "MB"),
+        ("mission", *local, "name", "state", "shots", "photos", "MB"),
         [
             (
                 entry.mission_id,
+                *(began[entry.mission_id] for _ in local),
                 entry.name,
                 entry.state,
                 f"{entry.shots_done}/{entry.shots_total}",
@@ -46,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
             )
             for entry in found
         ],
-        left=("mission", "name", "state"),
+        left=("mission", "local time", "name", "state"),
     )
     for entry in found:
         if entry.problem:

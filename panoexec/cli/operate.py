@@ -15,7 +15,7 @@ from typing import Any, Final
 import panoexec.cli.lean  # noqa: F401  (must be imported first)
 from panoexec.cli.broker_options import add_broker_arguments, broker_of
 from panoexec.cli.numbers import number, positive, whole_number
-from panoexec.cli.output import print_json
+from panoexec.cli.output import local_time, print_json
 from panoexec.cli.requesting import ask, exit_code, plan_document, report_error
 from panoexec.errors import UsageError
 
@@ -159,16 +159,26 @@ def _started(data: Data, vehicle: str) -> str:
     return f"{text}; {proven}"
 
 
-def _stopped(done: str, *, until: str = "") -> Callable[[Data, str], str]:
-    """What is said of a stop; where the mission is not in the state `until`, what it does before."""
+def _stopped(done: str, before: str, unborn: str, *, until: str) -> Callable[[Data, str], str]:
+    """What is said of a stop.
+
+    Args:
+        done: of a mission whose state is `until`.
+        before: of one that is on its way there: the command was accepted, and what is under way ends first.
+        unborn: where no mission exists yet.
+        until: the state that the command leads to.
+    """
 
     def sentence(data: Data, vehicle: str) -> str:
-        if data.get("mission_id") is None:
-            text = f"{vehicle}: no mission had begun; the start is called off"
-        elif until and data.get("state") and data["state"] != until:
-            text = f"{vehicle}: mission {data['mission_id']} pauses after the current photo (it is {data['state']})"
+        mission, state = data.get("mission_id"), data.get("state")
+        if mission is None:
+            text = f"{vehicle}: {unborn}"
+        elif not state:  # an interrupted mission, which nothing flies
+            text = f"{vehicle}: mission {mission} is not resumed by itself any more"
+        elif state == until:
+            text = f"{vehicle}: mission {mission} {done}"
         else:
-            text = f"{vehicle}: mission {data['mission_id']} {done}"
+            text = f"{vehicle}: mission {mission} {before} (it is {state})"
         lasts = "" if data.get("durable", True) else "; not on disk: it would not outlive a restart of the computer"
         return text + lasts
 
@@ -188,6 +198,8 @@ def _status(data: Data, vehicle: str) -> str:
     lines = [f"{vehicle}: {data['state']}" + (f": {data['reason']}" if data.get("reason") else "")]
     if data.get("mission_id"):
         named = f' "{data["name"]}"' if data.get("name") else ""
+        began = local_time(str(data["mission_id"]))
+        named += f" (began {began} local time)" if began else ""
         done = f"{data['shots_done']} of {_many(data['shots_total'], 'shot')} done"
         retaken = f", {_many(data['retakes'], 'retake')}" if data.get("retakes") else ""
         left = f", about {_minutes(data['eta_s'])} left" if data.get("eta_s") else ""
@@ -236,7 +248,12 @@ VERBS: Final[Mapping[str, Verb]] = MappingProxyType(
                 text="Hold a mission after the current photo, until `resume`.",
                 declare=_of_stop,
                 fields=_reason,
-                sentence=_stopped("is paused", until="paused"),
+                sentence=_stopped(
+                    "is paused",
+                    "pauses after the current photo",
+                    "no mission has begun yet; one that is being planned pauses before anything moves",
+                    until="paused",
+                ),
             ),
             Verb(
                 name="resume",
@@ -268,7 +285,12 @@ VERBS: Final[Mapping[str, Verb]] = MappingProxyType(
                 text="End shooting and accept the gaps; exports and report are written.",
                 declare=_of_stop,
                 fields=_reason,
-                sentence=_stopped("finishes"),
+                sentence=_stopped(
+                    "finishes: results are being written",
+                    "finishes",
+                    "no mission has begun yet; one that is being planned finishes before anything moves",
+                    until="finishing",
+                ),
             ),
             Verb(
                 name="abort",
@@ -276,7 +298,9 @@ VERBS: Final[Mapping[str, Verb]] = MappingProxyType(
                 text="End a mission for good, at once.",
                 declare=_of_stop,
                 fields=_reason,
-                sentence=_stopped("is aborted"),
+                sentence=_stopped(
+                    "is aborted", "is being aborted", "no mission had begun; the start is called off", until="aborted"
+                ),
             ),
             Verb(
                 name="status",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from panoexec.cli.streams import can_encode_all
@@ -109,3 +110,17 @@ def minutes(seconds: float) -> str:
 def counted(number: int, noun: str) -> str:
     """A number with its noun: `1 image`, `2 images`."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def local_time(mission_id: str, style: str = "%H:%M") -> str:
+    """When a mission began by the clock of this computer's time zone; "" where that is UTC, as the id has it.
+
+    Args:
+        mission_id: its UTC time (docs/contract.md); anything else gives "".
+        style: as `strftime` has it.
+    """
+    try:
+        began = datetime.fromisoformat(mission_id.partition(".")[0]).replace(tzinfo=UTC).astimezone()
+    except (ValueError, OverflowError):
+        return ""
+    return began.strftime(style) if began.utcoffset() else ""

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import difflib
 import json
 from pathlib import Path
 from typing import Any
@@ -28,6 +27,7 @@ from panoexec.cli.output import print_facts, print_json
 from panoexec.cli.requesting import ask, exit_code, plan_document, report_error
 from panoexec.errors import UsageError
 from panoexec.mqtt.topics import COMMANDS
+from panoexec.suggestions import did_you_mean
 
 INTERMIXED = True
 
@@ -46,8 +46,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Send the request and print the response."""
     if args.command not in COMMANDS:
-        near = difflib.get_close_matches(args.command, COMMANDS, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"commands are {', '.join(COMMANDS)}"
+        from panoexec.cli import app  # noqa: PLC0415  (imports the modules of commands itself)
+
+        said = {one: f"panoexec {one}" for one in app.COMMANDS} | {one: one for one in COMMANDS}
+        hint = did_you_mean(args.command, said, quoted=True) or f"commands are {', '.join(COMMANDS)}"
         raise UsageError(f"unknown command {args.command!r}: {hint}")
     fields = _fields(args.fields)
     if args.plan is not None:

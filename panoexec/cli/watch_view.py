@@ -12,7 +12,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from panoexec.cli.output import counted, minutes
+from panoexec.cli.output import counted, local_time, minutes
 from panoexec.mqtt.senders import received
 
 if TYPE_CHECKING:
@@ -305,11 +305,13 @@ def fleet_view(vehicles: Mapping[str, Watched], *, columns: int = 0) -> Table:
 
 
 def _links(state: Mapping[str, Any]) -> str:
-    """Links and battery: `autopilot ok, gimbal ok, camera lost, battery 74 %`."""
+    """Links, battery and beginning: `autopilot ok, gimbal ok, camera lost, battery 74 %, began 09:46 local time`."""
     links = state.get("link") or {}
     told = [f"{name} {'ok' if (links.get(name) or {}).get('ok') else 'lost'}" for name in links]
     battery = state.get("battery_frac")
-    return ", ".join([*told, *([] if battery is None else [f"battery {100 * battery:.0f} %"])])
+    told += [] if battery is None else [f"battery {100 * battery:.0f} %"]
+    began = local_time(str(state.get("mission_id") or ""))
+    return ", ".join([*told, *([f"began {began} local time"] if began else [])])
 
 
 def _gone(state: Mapping[str, Any]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from difflib import get_close_matches
 from typing import Any, Final, TypeVar
 
 from pydantic import ValidationError
@@ -12,6 +11,7 @@ from panoexec.inputs.config import Config
 from panoexec.inputs.validation import problem_lines
 from panoexec.mqtt.answers import PresetFields
 from panoexec.mqtt.requests import PlanRequest, RefusedRequestError, StartRequest
+from panoexec.suggestions import did_you_mean
 
 R = TypeVar("R", bound=PlanRequest)
 
@@ -68,9 +68,9 @@ def with_preset(config: Config, request: R) -> R:
         return request
     fields = config.presets.get(request.preset)
     if fields is None:
-        near = get_close_matches(request.preset, config.presets, n=1)
+        near = did_you_mean(request.preset, config.presets.keys(), quoted=True)
         known = ", ".join(sorted(config.presets)) or "none is configured"
-        hint = f": did you mean {near[0]!r}?" if near else f"; presets: {known}"
+        hint = f": {near}" if near else f"; presets: {known}"
         raise RefusedRequestError("invalid", f"there is no preset {request.preset!r}{hint}", field="preset")
     own = {name: getattr(request, name) for name in request.model_fields_set}
     own = {name: value for name, value in own.items() if value is not None}

@@ -7,7 +7,6 @@ orientation. The field of view is computed from sensor and focal length. The inc
 
 from __future__ import annotations
 
-import difflib
 import importlib.resources
 import os
 from collections.abc import Mapping
@@ -23,6 +22,7 @@ from panoexec.inputs.lens_choice import with_lens
 from panoexec.inputs.validation import problem_lines, read_toml
 from panoexec.lens.distortion import Distortion
 from panoexec.optics import Camera
+from panoexec.suggestions import did_you_mean
 
 Orientation: TypeAlias = Literal["landscape", "portrait"]
 Millimetres: TypeAlias = Annotated[FiniteFloat, Field(gt=0, le=10_000)]
@@ -204,8 +204,8 @@ def load_profile(
     shipped = _shipped()
     path_of_name = shipped.get(name_or_path)
     if path_of_name is None:
-        near = difflib.get_close_matches(name_or_path.lower(), shipped, n=3, cutoff=0.4)
-        hint = f"did you mean {' or '.join(near)}? " if near else ""
+        near = did_you_mean(name_or_path, shipped.keys(), cutoff=0.4)
+        hint = near and f"{near} "
         raise UsageError(
             f"there is no camera profile {name_or_path!r}: {hint}`panoexec cameras` lists them; "
             "give your own profile as FILE.toml"

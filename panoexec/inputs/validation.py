@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from panoexec.errors import InputFileError
+from panoexec.suggestions import did_you_mean, nearest
 
 MOST_PROBLEMS = 50
 """Lines; requests of strangers have up to 10 000 problems."""
@@ -56,8 +56,8 @@ def _instead(problem: dict[str, Any], model: type[BaseModel] | None) -> str:
         return ""
     known = {field.alias or name for one in models for name, field in one.model_fields.items()}
     strange = [name for name in given if isinstance(name, str) and name not in known]
-    near = difflib.get_close_matches(str(location[-1]), strange, n=1, cutoff=0.8)
-    return f": is {near[0][:_LONGEST_VALUE]} meant?" if near else ""
+    near = nearest(str(location[-1]), strange, cutoff=0.8)
+    return f": is {' or '.join(one[:_LONGEST_VALUE] for one in near)} meant?" if near else ""
 
 
 def _models_at(location: tuple[int | str, ...], model: type[BaseModel] | None) -> list[type[BaseModel]]:
@@ -74,11 +74,8 @@ def _hint(location: tuple[int | str, ...], model: type[BaseModel] | None) -> str
     """The known key that an unknown one is nearest to, as a question; "" if none is near."""
     models = _models_at(location[:-1], model)
     known = [field.alias or name for one in models for name, field in one.model_fields.items()]
-    wrong = str(location[-1])
-    near = difflib.get_close_matches(wrong, known, n=1, cutoff=0.6)
-    # a unit is what is forgotten most: `elevation` for `elevation_deg`
-    near = near or [name for name in known if name.startswith(f"{wrong}_")][:1]
-    return f": did you mean {near[0]}?" if near else ""
+    hint = did_you_mean(str(location[-1]), known)
+    return hint and f": {hint}"
 
 
 def _models_in(annotation: object) -> Iterator[type[BaseModel]]:

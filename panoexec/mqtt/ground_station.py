@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import difflib
 import json
 import math
 import uuid
@@ -24,6 +23,7 @@ from panoexec.inputs.service_sections import MqttSection
 from panoexec.mqtt.certificates import explained
 from panoexec.mqtt.client import BrokerClient, broker_client
 from panoexec.mqtt.state_deltas import StateFollower
+from panoexec.suggestions import did_you_mean
 
 Kind: TypeAlias = Literal["status", "state", "plan", "event"]
 
@@ -31,6 +31,8 @@ _STATUS_S: Final = 0.3
 """How long to wait for a retained status; a broker sends it with the acknowledgement of the subscription."""
 _OTHERS_S: Final = 1.0
 """How long a broker is silent, on a slow link too, when it has told the retained status of every vehicle."""
+_UNTOLD: Final = "whether it received the request is not known"
+"""After a request was sent and not answered."""
 _DELTA: Final = "state/delta"
 _KINDS: Final[dict[str, Kind]] = {"status": "status", "state": "state", "plan": "plan", "event": "event"}
 
@@ -108,7 +110,7 @@ class GroundStation:
         assert self._client is not None
         base = f"{self._settings.prefix}/{vehicle}"
         fields = {"transaction": uuid.uuid4().hex} | fields
-        status = None
+        status, untold = None, ""
         try:
             async with asyncio.timeout(timeout_s):
                 await self._client.subscribe(f"{base}/response/{command}", qos=1)
@@ -117,6 +119,7 @@ class GroundStation:
                     raise LinkError(f"{vehicle} is offline: its daemon is not connected to this broker")
                 expiry_s = expiry_s or max(1, math.ceil(timeout_s))
                 send = partial(self._publish, f"{base}/request/{command}", fields, expiry_s)
+                untold = f"; {_UNTOLD}"
                 await send()
                 answer = None
                 if status is None and await self._ask_for_all():
@@ -125,9 +128,10 @@ class GroundStation:
                 return answer or await self._answer(vehicle, command, fields["transaction"], None if status else send)
         except TimeoutError as error:
             unknown = "no vehicle of this id has been connected to this broker" if status is None else "it is online"
-            raise LinkError(f"{vehicle} did not respond to {command} within {timeout_s:g} s: {unknown}") from error
+            late = f"{vehicle} did not respond to {command} within {timeout_s:g} s"
+            raise LinkError(f"{late}: {unknown}{untold}") from error
         except aiomqtt.MqttError as error:
-            raise LinkError(f"connection to the broker lost: {error}") from error
+            raise LinkError(f"connection to the broker lost: {error}{untold}") from error
 
     async def _answer(
         self, vehicle: str, command: str, transaction: object, again: Callable[[], Awaitable[None]] | None
@@ -138,7 +142,7 @@ class GroundStation:
         async for message in self._client.messages:
             if str(message.topic) == status:
                 if message.payload == b"offline":
-                    raise LinkError(f"{vehicle} went offline before it responded to {command}")
+                    raise LinkError(f"{vehicle} went offline before it responded to {command}; {_UNTOLD}")
                 if again is not None:
                     await again()  # the same transaction acts once
                     again = None
@@ -171,7 +175,7 @@ class GroundStation:
                 if name == "status" and message.payload:
                     known.add(who)
                     if who == vehicle and message.payload == b"offline":
-                        raise LinkError(f"{vehicle} is offline: its daemon is not connected to this broker")
+                        raise LinkError(f"{vehicle} is offline: its daemon is not connected to this broker; {_UNTOLD}")
                     if who == vehicle:
                         await again()  # the same transaction acts once
                 elif (answer := _answer_to(transaction, message.payload)) is not None:
@@ -179,9 +183,10 @@ class GroundStation:
         if not known:
             on_silence()
         elif vehicle not in known:
-            near = difflib.get_close_matches(vehicle, known, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(known))}"
-            raise LinkError(f"no vehicle {vehicle} has been connected to this broker: {hint}")
+            hint = did_you_mean(vehicle, known) or f"there are {', '.join(sorted(known))}."
+            # an access list may hide its status, and with MQTT 3.1.1 nobody says so
+            unknown = "The request was sent: one that is hidden from this user may have received it"
+            raise LinkError(f"no vehicle {vehicle} has been connected to this broker: {hint} {unknown}")
         return None
 
     async def _status(self, topic: str, wait_s: float) -> str | None:

@@ -38,6 +38,14 @@ export function seconds(value) {
   const clock = `${Math.floor(rest / 60)}:${String(rest % 60).padStart(2, "0")}`;
   return hours ? `${hours}:${clock.padStart(5, "0")} h` : `${clock} min`;
 }
+/* A moment in UTC, as files name it, and beside it as the clock of who reads shows it. */
+export function when(stamp) {
+  if (!stamp) return null;
+  const utc = stamp.replace("T", " ").replace(/\.\d+/, "").replace("Z", " UTC");
+  const date = new Date(stamp);
+  if (Number.isNaN(date.getTime()) || date.getTimezoneOffset() === 0) return utc;
+  return `${utc} (${date.toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" })} local)`;
+}
 export const plural = (count, word) => `${count} ${word}${count === 1 ? "" : "s"}`;
 export const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 export function rgb(name) {

@@ -150,6 +150,7 @@ def _timeline(times: Timeline, source: Source) -> dict[str, Any]:
         "interval_s": source.settings.interval_s if source.settings else None,
         "lived_s": _round(times.lived_s, 2),
         "pace": _round(times.pace, 2),
+        "simulated": source.simulated,
         "measured": bool(source.events),
     }
 

@@ -6,12 +6,16 @@ Skipped where no Chromium is installed (apt-get install chromium).
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from panoexec.report import write_report
+from panoexec.report.data import page_data
+from panoexec.report.page import render_page
+from panoexec.report.source import read_source
 from panoexec.store.directory import MissionDirectory
 from tests.browser import Browser, chromium
 from tests.report_missions import edit, photographed
@@ -202,3 +206,32 @@ def test_without_webgl_the_panorama_is_a_flat_picture_and_foreign_scripts_do_not
         added = "Object.assign(document.createElement('script'), {textContent: 'window.harmed = 3'})"
         browser.value(f"document.body.append({added})")
         assert browser.value("String(window.harmed)") == "undefined"
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_times_are_told_for_who_reads_and_simulated_ones_as_such(
+    simulated: bool,
+    browser: Browser,
+    directory: MissionDirectory,
+    tmp_path: Path,
+) -> None:
+    source = read_source(directory)
+    data = page_data(replace(source, simulated=simulated), made_utc_s=0.0) | {"panorama": {"kind": None}}
+    data["timeline"] |= {"lived_s": 40.0, "pace": 10.0 if simulated else 1.0}
+    page = tmp_path / "report.html"
+    page.write_text(render_page(data, None))
+    browser.call("Emulation.setTimezoneOverride", timezoneId="Asia/Kolkata")
+    try:
+        browser.open(page)
+        facts = browser.value("document.querySelector('#facts').textContent")
+        assert browser.value("document.querySelector('#foot').textContent").count(" UTC (") == 1
+        assert browser.value("when('2026-09-21T20:30:00.5Z')") in (
+            "2026-09-21 20:30:00 UTC (02:00 AM local)",
+            "2026-09-21 20:30:00 UTC (02:00 local)",
+        )
+        assert ("duration40.0 s of simulated time, 4.0 s on the clock" in facts) is simulated
+        tiles = browser.value("document.querySelector('#tiles').textContent")
+        assert ("shooting time, simulated" in tiles) is simulated
+        assert_sound(browser)
+    finally:
+        browser.call("Emulation.setTimezoneOverride", timezoneId="")

@@ -9,6 +9,7 @@ from pathlib import Path
 import aiomqtt
 import pytest
 
+from panoexec.errors import LinkError
 from panoexec.inputs.service_sections import MqttSection
 from panoexec.mqtt.ground_station import GroundStation
 from tests.wire.broker import needs_mosquitto, running_broker
@@ -54,3 +55,19 @@ async def test_a_request_reaches_a_vehicle_that_comes_while_others_are_looked_fo
             assert json.loads(message.payload) == {"transaction": "t"}
             await kite.publish("panoexec/kite/response/get", json.dumps({"transaction": "t", "status": "ok"}), qos=1)
             assert (await asking)["status"] == "ok"
+
+
+@needs_mosquitto
+async def test_a_vehicle_that_is_hidden_may_have_received_what_was_sent(tmp_path: Path) -> None:
+    with running_broker(tmp_path) as broker:
+        section = MqttSection(host="127.0.0.1", port=broker.port)
+        async with GroundStation(section) as station, aiomqtt.Client("127.0.0.1", broker.port) as kite:
+            await kite.publish("panoexec/owl/status", "online", qos=1, retain=True)
+            # as if an access list kept its status from the station
+            await kite.subscribe("panoexec/kite/request/#", qos=1)
+            told = r"no vehicle kite .*: there are owl\. The request was sent: .* received it"
+            with pytest.raises(LinkError, match=told):
+                await station.request("kite", "abort", {"transaction": "t"}, timeout_s=60)
+            async with asyncio.timeout(60):
+                message = await anext(kite.messages)
+            assert str(message.topic) == "panoexec/kite/request/abort"

@@ -3,13 +3,12 @@
 const { mission, counts, certificate, timeline, photos, stitch } = data;
 const STATES = { complete: "good", incomplete: "warn", paused: "warn", aborted: "bad", failed: "bad" };
 const pill = (text, kind) => el("span", { class: `pill ${kind || ""}` }, text);
-const when = (stamp) => {
-  if (!stamp) return null;
-  const utc = stamp.replace("T", " ").replace(/\.\d+/, "").replace("Z", " UTC");
-  const date = new Date(stamp);
-  if (Number.isNaN(date.getTime()) || date.getTimezoneOffset() === 0) return utc;
-  return `${utc} (${date.toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" })} local)`;
-};
+
+/* The duration of a simulated mission is that of its vehicle's clock; beside it the time that people waited. */
+function lived() {
+  if (!isNumber(timeline.lived_s)) return null;
+  return timeline.simulated ? `${seconds(timeline.lived_s)} of simulated time` + (timeline.pace > 0 ? `, ${seconds(timeline.lived_s / timeline.pace)} on the clock` : "") : seconds(timeline.lived_s);
+}
 
 function head() {
   const place = mission.position, spot = isNumber(place.latitude_deg)
@@ -43,7 +42,7 @@ function tiles() {
     tile("coverage", percent(whole, 2), certificate ? (certificate.certified ? "certified as flown" : "not certified") : "not certified: the mission has not ended", certificate ? (whole === 1 ? "good" : "bad") : ""),
     tile("retakes", String(counts.retakes), tried),
     tile("worst accepted error", worst ? `${Math.round(100 * worst.share)} %` : "–", worst ? `of τ: ${worst.axis} ${signed(worst.value)}` : "no measured attitude", worst && worst.share > 1 ? "warn" : ""),
-    tile("shooting time", seconds(timeline.duration_s), ratio ? `${ratio.toFixed(2)} × the physical limit` : "physical limit unknown"),
+    tile(timeline.simulated ? "shooting time, simulated" : "shooting time", seconds(timeline.duration_s), ratio ? `${ratio.toFixed(2)} × the physical limit` : "physical limit unknown"),
     tile("battery", percent(last, 0), samples.length > 1 ? `from ${percent(samples[0][1], 0)}` : "no history"),
   );
 }
@@ -209,7 +208,7 @@ function batteryAndFacts() {
   } else card("battery", "Battery", "The vehicle reported no charge.");
   const { hfov_deg: h, vfov_deg: v, image_px: px } = data.camera, tau = data.tolerance_deg;
   card("facts", "Mission", null, facts([
-    ["started", when(mission.times.started)], ["finished", when(mission.times.finished)], ["duration", timeline.lived_s === null ? null : seconds(timeline.lived_s)],
+    ["started", when(mission.times.started)], ["finished", when(mission.times.finished)], ["duration", lived()],
     ["restarts", mission.times.restarts ? String(mission.times.restarts) : null],
     ["camera", `${data.camera.name}, ${degrees(h, 1)} × ${degrees(v, 1)}, ${px[0]} × ${px[1]} px`],
     ["tolerance τ", `pitch ±${tau.pitch}°, roll ±${tau.roll}°, yaw ±${tau.yaw}°`],

@@ -97,9 +97,9 @@ function list() {
     el("td", {}, stop.shots ? `${stop.shots[0]}/${stop.shots[1]}` : "–"),
     el("td", {}, stop.certified === null ? "–" : stop.certified ? "yes" : "no"),
     el("td", {}, [stop.reason, stop.why].filter(Boolean).join("; ")),
-    el("td", {}, stop.arrived)));
+    el("td", {}, when(stop.arrived))));
   document.getElementById("stops").append(el("h2", {}, "Stops"), el("table", {},
-    el("thead", {}, el("tr", {}, ["stop", "waypoint", "panorama", "outcome", "shots", "certified", "reason", "arrived (UTC)"].map((text) => el("th", {}, text)))),
+    el("thead", {}, el("tr", {}, ["stop", "waypoint", "panorama", "outcome", "shots", "certified", "reason", "arrived"].map((text) => el("th", {}, text)))),
     el("tbody", {}, rows)));
 }
 function tourPage() {
@@ -115,7 +115,7 @@ function tourPage() {
   list();
   const missed = tourData.tour.waypoints.filter((number) => !stops.some((stop) => stop.waypoint === number));
   if (missed.length) document.getElementById("stops").append(el("p", { class: "lead" }, `No stop at waypoints ${missed.join(", ")}.`));
-  document.getElementById("foot").textContent = `Written by panoexec ${tourData.made.version}, ${tourData.made.time}. Panorama viewer: Pannellum (MIT licence).`;
+  document.getElementById("foot").textContent = `Written by panoexec ${tourData.made.version}, ${when(tourData.made.time.replace("+00:00", "Z"))}. Panorama viewer: Pannellum (MIT licence).`;
   document.documentElement.dataset.ready = "yes";
 }
 tourPage();

@@ -29,7 +29,9 @@ export function timeOf(stamp) {
 }
 export function dateOf(stamp) {
   const date = new Date(stamp);
-  return Number.isNaN(date.getTime()) ? "" : date.toLocaleString([], { year: "numeric", month: "short", day: "numeric", hour: "2-digit", minute: "2-digit", hour12: false });
+  if (Number.isNaN(date.getTime())) return "";
+  const here = date.toLocaleString([], { year: "numeric", month: "short", day: "numeric", hour: "2-digit", minute: "2-digit", hour12: false });
+  return date.getTimezoneOffset() === 0 ? `${here} UTC` : `${here} (${date.toISOString().slice(11, 16)} UTC)`;
 }
 export const figure = (name, value, unit = "", kind = "") => el("div", { class: `figure ${kind}` }, el("div", { class: "value" }, value, unit ? el("small", {}, ` ${unit}`) : null), el("div", { class: "name" }, name));
 

@@ -1,5 +1,5 @@
 /* One vehicle, live: state, progress, map, actions, the selected shot, what happened. */
-import { degrees, el, isNumber, percent, plural, signed, svg } from "/assets/pages/elements.js";
+import { degrees, el, isNumber, percent, plural, signed, svg, when } from "/assets/pages/elements.js";
 import { actions, entryText, shotActions, stageText } from "./actions.js";
 import { ask, toast } from "./dialogs.js";
 import { STANDINGS, acceptedOf, advice, clock, counts, headline, light, standing } from "./model.js";
@@ -155,7 +155,7 @@ export class VehicleView {
     const events = (data.mission ? data.mission.events : []).map((event) => ({ time: event.time, level: event.level, text: event.text, shot: event.shot, key: `e${event.seq}` }));
     const commands = data.log.map((entry) => ({ time: entry.time, level: entry.stage === "refused" || entry.stage === "failed" ? "bad" : "info", text: `${entry.who || "Somebody"}: ${entryText(entry)} – ${stageText(entry)}`, shot: null, key: `c${entry.id}` }));
     const lines = [...events, ...commands].map((line) => ({ ...line, at: Date.parse(line.time) || 0 })).sort((a, b) => b.at - a.at).slice(0, 120);
-    redraw(this.parts.log, lines, () => (lines.length ? lines.map((line) => el("li", { class: KINDS[line.level] || "" }, el("time", { datetime: line.time }, timeOf(line.time)), el("b", { "aria-label": line.level === "info" ? null : line.level }, MARKS[line.level] || "·"),
+    redraw(this.parts.log, lines, () => (lines.length ? lines.map((line) => el("li", { class: KINDS[line.level] || "" }, el("time", { datetime: line.time, title: when(line.time) }, timeOf(line.time)), el("b", { "aria-label": line.level === "info" ? null : line.level }, MARKS[line.level] || "·"),
       el("span", {}, line.text))) : el("li", {}, el("span", { class: "muted" }, "Nothing yet."))));
   }
   /* Keys of this view; returns whether the key was one. */
