@@ -60,9 +60,13 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
             terminalreporter.write_line(f"{process}, started by {what}")
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def restored_logs() -> Iterator[None]:
-    """Puts back how the tests log after one that has set up logging for its process."""
+    """Puts back how the tests log after one that has set up logging for its process.
+
+    What it has set up writes to the standard error of that test, which is closed when the test is over; threads that
+    outlive it would fail to log.
+    """
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
     yield

@@ -116,12 +116,12 @@ async def test_single_keys_are_read_and_the_terminal_is_put_back() -> None:
 
     async def act(there: int) -> None:
         os.write(there, b"p")
-        await eventually(lambda: pressed == ["p"], 10)
+        await eventually(lambda: pressed == ["p"])
         # an arrow key, and a paste that would ask and confirm at once
         os.write(there, b"\x1b[A")
-        await eventually(lambda: pressed == ["p", ""], 10)
+        await eventually(lambda: pressed == ["p", ""])
         os.write(there, b"ay")
-        await eventually(lambda: pressed == ["p", "", ""], 10)
+        await eventually(lambda: pressed == ["p", "", ""])
 
     await typed(pressed.append, act)
 

@@ -99,12 +99,12 @@ async def test_they_are_made_kept_and_published_the_newest_first_and_again(tmp_p
         await eventually(lambda: len(list(folder.glob("thumbnails/*.jpg"))) == 3, 60)
         assert link.sent == []
         link.busy = False
-        await eventually(lambda: len(link.sent) == 3, 20)
+        await eventually(lambda: len(link.sent) == 3, 60)
         assert {topic for topic, _ in link.sent} == {f"{MISSION}/{shot}" for shot in range(3)}
         for topic, payload in link.sent:
             assert payload == (folder / "thumbnails" / f"{topic.rpartition('/')[2]}.jpg").read_bytes()
         assert await made.send_again(MISSION, [2, 0, 77]) == 2
-        await eventually(lambda: len(link.sent) == 5, 20)
+        await eventually(lambda: len(link.sent) == 5, 60)
         assert [topic for topic, _ in link.sent[3:]] == [f"{MISSION}/0", f"{MISSION}/2"]
         with pytest.raises(MissionStorageError, match="there is no mission"):
             await made.send_again("20200101T000000.000Z", None)

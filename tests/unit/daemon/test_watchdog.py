@@ -43,7 +43,7 @@ def test_a_task_is_stalled_once_its_pulse_is_too_old() -> None:
 async def test_the_watchdog_is_fed_in_each_period() -> None:
     notifier = Notifier(0.03)
     running = asyncio.create_task(Watchdog(notifier=notifier, pulses={}).run())
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(60):
         for _ in range(3):
             await notifier.fed.acquire()
     assert not running.done()
@@ -61,7 +61,7 @@ async def test_the_watchdog_is_withheld_while_a_task_is_stalled() -> None:
     watchdog = Watchdog(notifier=notifier, pulses={"state": pulse}, monotonic=lambda: 100.0)
     with capture_logs() as logs:
         running = asyncio.create_task(watchdog.run())
-        async with asyncio.timeout(5.0):
+        async with asyncio.timeout(60):
             for _ in range(3):
                 await asked.acquire()
             assert notifier.fed.locked(), "nothing was fed"

@@ -142,7 +142,7 @@ async def test_it_is_killed_if_it_ignores_sigterm(tmp_path: Path, monkeypatch: p
 async def test_unexpected_exit_reports_the_last_output_line(tmp_path: Path, text: str, words: str) -> None:
     async with running_sitl(options(program(tmp_path / "sitl", text))) as sitl:
         with pytest.raises(DeviceError, match=words):
-            await asyncio.wait_for(sitl.watch(), 10)
+            await asyncio.wait_for(sitl.watch(), 60)
 
 
 async def test_a_file_that_cannot_run_here_is_a_usage_error(tmp_path: Path) -> None:
@@ -151,7 +151,7 @@ async def test_a_file_that_cannot_run_here_is_a_usage_error(tmp_path: Path) -> N
     foreign.chmod(0o755)
     async with running_sitl(options(foreign)) as sitl:
         with pytest.raises(UsageError, match="cannot be executed"):
-            await asyncio.wait_for(sitl.watch(), 10)
+            await asyncio.wait_for(sitl.watch(), 60)
 
 
 def test_it_does_not_outlive_a_parent_that_is_killed(tmp_path: Path) -> None:

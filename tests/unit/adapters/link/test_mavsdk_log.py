@@ -18,7 +18,7 @@ def test_links_that_are_opened_at_once_subscribe_once(monkeypatch: pytest.Monkey
     monkeypatch.setattr(mavsdk_errors, "_log_bridge", mavsdk_errors._LogBridge())
 
     def open_one() -> None:
-        both.wait(10)
+        both.wait(60)
         mavsdk_errors.quiet_mavsdk_log()
 
     with ThreadPoolExecutor(4) as pool:
