@@ -10,7 +10,7 @@ _ASYNC_STEP_S = 0.01
 _STEP_S = 0.02
 
 
-async def eventually(condition: Callable[[], object], timeout_s: float = 30.0) -> None:
+async def eventually(condition: Callable[[], object], timeout_s: float = 60.0) -> None:
     """Return once a condition holds.
 
     Args:
@@ -25,7 +25,7 @@ async def eventually(condition: Callable[[], object], timeout_s: float = 30.0) -
             await asyncio.sleep(_ASYNC_STEP_S)
 
 
-def wait_until(condition: Callable[[], object], timeout_s: float = 60.0) -> None:
+def wait_until(condition: Callable[[], object], timeout_s: float = 120.0) -> None:
     """The same without an event loop.
 
     Raises:

@@ -17,7 +17,7 @@ from panoexec.web.headers import PAGE_POLICY
 from panoexec.web.static_files import read_static_files
 
 MISSION = "20261130T100000.000Z"
-LIMIT_S = 60.0
+LIMIT_S = 180.0
 READY = dict.fromkeys(("plan", "start", "pause", "resume", "skip", "repeat", "finish", "abort"), "")
 
 

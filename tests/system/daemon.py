@@ -98,7 +98,7 @@ class Ground:
         assert self._client is not None
         await self._client.publish(f"{BASE}/request/{command}", payload, qos=1, retain=retain)
 
-    async def until(self, condition: Callable[[], object], timeout_s: float = 120.0) -> None:
+    async def until(self, condition: Callable[[], object], timeout_s: float = 300.0) -> None:
         try:
             await eventually(condition, timeout_s)
         except TimeoutError:
@@ -173,5 +173,10 @@ async def serving(
 
 
 async def ready(ground: Ground) -> None:
-    await ground.until(lambda: ground.status == "online" and ground.state.get("reason") == "")
-    assert all(link["ok"] for link in ground.state["link"].values())
+    """Wait until a mission can begin."""
+
+    def is_ready() -> bool:
+        has_all = ground.status == "online" and ground.state.get("reason") == ""
+        return has_all and all(link["ok"] for link in ground.state["link"].values())
+
+    await ground.until(is_ready)

@@ -16,11 +16,11 @@ import pytest
 DRY_RUN = (sys.executable, "-m", "panoexec", "dry-run")
 
 
-def dry_run(*arguments: str, timeout_s: float = 180) -> subprocess.CompletedProcess[str]:
+def dry_run(*arguments: str, timeout_s: float = 300) -> subprocess.CompletedProcess[str]:
     return subprocess.run([*DRY_RUN, *arguments], capture_output=True, text=True, timeout=timeout_s, check=False)
 
 
-def flown(*arguments: str, timeout_s: float = 180) -> dict[str, Any]:
+def flown(*arguments: str, timeout_s: float = 300) -> dict[str, Any]:
     """The summary of a dry-run whose mission must have been complete."""
     done = dry_run(*arguments, "--json", timeout_s=timeout_s)
     assert done.returncode == 0, done.stderr

@@ -178,7 +178,7 @@ class Flown:
         return [event.text for event in self.events if isinstance(event, Warned) and event.code == code]
 
 
-async def fly(storage: Path, payload: Payload, *, timeout_s: float = 120, **settings: Any) -> Flown:
+async def fly(storage: Path, payload: Payload, *, timeout_s: float = 300, **settings: Any) -> Flown:
     """Fly a payload's mission to its end."""
     events: list[Event] = []
     async with asyncio.timeout(timeout_s):

@@ -101,7 +101,7 @@ class Pilot:
         assert self._autopilot is not None
         self._near.sendto(message.pack(self._out), self._autopilot)
 
-    async def until(self, condition: Callable[[], object], timeout_s: float = 120.0) -> None:
+    async def until(self, condition: Callable[[], object], timeout_s: float = 300.0) -> None:
         await eventually(condition, timeout_s)
 
     async def upload(self, items: list[Any]) -> None:

@@ -48,7 +48,7 @@ async def test_a_bridge_ties_two_groups_although_the_process_was_stopped_before_
             flight.cancel()  # here: a moment later it may have been flown
 
     flight = asyncio.create_task(run_dry_run(options(tmp_path), on_event=look))
-    async with asyncio.timeout(120):
+    async with asyncio.timeout(300):
         with contextlib.suppress(asyncio.CancelledError):
             ended = await flight
             planned = [event for event in told if isinstance(event, BridgePlanned)]
@@ -73,7 +73,7 @@ async def test_a_bridge_ties_two_groups_although_the_process_was_stopped_before_
 @pytest.mark.skipif(not os.environ.get("PANOEXEC_ALL_FAULTS"), reason="PANOEXEC_ALL_FAULTS is not set")
 async def test_a_bridge_whose_photos_are_black_is_given_up_and_told(tmp_path: Path) -> None:
     events: list[Event] = []
-    async with asyncio.timeout(120):
+    async with asyncio.timeout(300):
         summary = await run_dry_run(options(tmp_path, "photo-black=#5,#6,#7,#8"), on_event=events.append)
     assert summary.state == "complete"
     assert "bridge shots do not tie" in summary.reason

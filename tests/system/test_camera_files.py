@@ -78,7 +78,7 @@ async def _check_thumbnails(ground: Ground, broker: Broker, mission: Path) -> No
         answer = await ground.ask("thumbnails", "t")
         assert answer["data"] == {"mission_id": mission.name, "count": ground.state["shots_total"]}
         seen: dict[str, bytes] = {}
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(300):
             async for message in client.messages:
                 seen[str(message.topic).removeprefix("panoexec/drone/thumbnail/")] = bytes(message.payload)
                 assert (message.qos, message.retain) == (0, False)

@@ -112,7 +112,7 @@ async def test_without_a_broker_the_daemon_is_named_and_left_alone(tmp_path: Pat
     )
     try:
         assert daemon.stderr is not None
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(300):
             while b"links" not in (line := await daemon.stderr.readline()):
                 assert line, "it ended"
         code, out, _ = await panoexec("doctor", "--config", str(config), "--json")

@@ -63,7 +63,7 @@ def _options(storage: Path, *faults: str, count: int = 8, images: bool = False, 
 
 async def _fly(options: DryRunOptions) -> tuple[DryRunSummary, list[Event]]:
     events: list[Event] = []
-    async with asyncio.timeout(120):
+    async with asyncio.timeout(300):
         return await run_dry_run(options, on_event=events.append), events
 
 
@@ -81,7 +81,7 @@ async def test_the_pilot_takes_over_and_the_mission_can_be_resumed_afterwards(tm
     assert summary.state == "failed"
     assert "the pilot has taken over" in summary.reason
     assert any(event.type == "gimbal_released" for event in events)
-    async with asyncio.timeout(120):
+    async with asyncio.timeout(300):
         summary = await resume_dry_run(summary.directory, simulation=lambda config: replace(config, faults=()))
     assert summary.state == "complete"
 

@@ -102,7 +102,7 @@ async def test_a_mission_is_watched_and_paused_by_a_key(tmp_path: Path) -> None:
                 terminal.type("p")
                 await terminal.until("pause drone? y yes, any other key no")
                 terminal.type("y")
-                async with asyncio.timeout(60):
+                async with asyncio.timeout(300):
                     message = await anext(aiter(vehicle.messages))
                 assert str(message.topic) == f"{base}/request/pause"
                 assert isinstance(message.payload, bytes)
@@ -118,6 +118,6 @@ async def test_a_mission_is_watched_and_paused_by_a_key(tmp_path: Path) -> None:
                 await terminal.until(f"pause received from {name}"[:70])
                 await tell("state", STATE | {"state": "aborted"})
                 await tell("event", {"type": "mission_finished", "id": f"{MISSION}/9", "reason": "rain"})
-                async with asyncio.timeout(60):
+                async with asyncio.timeout(300):
                     assert await process.wait() == 1
                 await terminal.until(f"report: missions/{MISSION}/report.html on drone")
