@@ -23,7 +23,7 @@ from tests.wire.broker import Broker, needs_mosquitto, running_broker
 
 pytestmark = needs_mosquitto
 
-LONGER = SMALL | {"elevation_deg": [-60, 10]}
+LONGER = SMALL | {"elevation_deg": [-60, 30]}
 """Is not over before a slow ground station has said what it wants of it."""
 
 

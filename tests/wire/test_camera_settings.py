@@ -136,7 +136,7 @@ async def test_the_simulated_cameras_settings_are_made_read_back_and_put_back() 
 async def test_a_camera_without_settings_says_that_they_cannot_be_locked(
     monkeypatch: pytest.MonkeyPatch, uri: str, why: str
 ) -> None:
-    monkeypatch.setattr("panoexec.adapters.camera.settings.mavlink_settings.DEFINITION_S", 1.5)
+    monkeypatch.setattr("panoexec.adapters.camera.settings.mavlink_settings.DEFINITION_S", 60.0)
     besides = {"page.htm": b"<html></html>", "large.xml": b" " * (1 << 21)}
     besides["other.xml"] = definition().replace(b"CAM_WBMODE", b"OTHER")
     with serving_photos(None, besides=besides) as base:
@@ -156,11 +156,13 @@ async def test_a_shutter_of_the_autopilot_has_no_settings() -> None:
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(extended_parameters, "_ANSWER_S", 0.3)
+    monkeypatch.setattr(extended_parameters, "_ANSWER_S", 1.2)
 
 
 @pytest.mark.usefixtures("quick")
-async def test_lost_and_slow_answers_are_waited_for_and_nothing_is_believed_without_reading_back() -> None:
+async def test_lost_and_slow_answers_are_waited_for_and_nothing_is_believed_without_reading_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with serving_photos(None, besides={"camera.xml": definition()}) as base:
         peer = SettingsPeer(f"{base}/camera.xml")
         async with camera_of(peer, BALANCE, hosts=("127.0.0.1",)) as camera:
@@ -174,6 +176,7 @@ async def test_lost_and_slow_answers_are_waited_for_and_nothing_is_believed_with
             peer.results = [1]
             with pytest.raises(DeviceError, match="does not take 4 for CAM_WBMODE: this value is not supported now"):
                 await camera.prepare()
+            monkeypatch.setattr(extended_parameters, "_ANSWER_S", 0.2)
             peer.mute = 100
             with pytest.raises(DeviceError, match="does not answer about CAM_WBMODE"):
                 await camera.prepare()

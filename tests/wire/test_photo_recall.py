@@ -14,7 +14,7 @@ from panoexec.devices import EvidenceLevel, PendingCapture
 from panoexec.errors import DeviceError
 from panoexec.mission.protocols import PhotoRecall
 from tests.wire.scripted_peer import ACCEPTED, DENIED, listening
-from tests.wire.test_mavsdk_camera import CameraPeer
+from tests.wire.test_mavsdk_camera import LONG_S, CameraPeer
 
 CLOCK = SystemClock()
 CAPTURED = EvidenceLevel.CAPTURE_MESSAGE
@@ -69,7 +69,7 @@ async def test_the_last_photos_are_told_with_their_times() -> None:
             assert camera.surplus_photos == 0
             # and its next photo is proven as ever
             capture = await camera.trigger()
-            assert (await capture.evidence(CAPTURED, 10.0)).image_index == 6
+            assert (await capture.evidence(CAPTURED, LONG_S)).image_index == 6
 
 
 async def test_stamps_from_before_a_reboot_of_the_camera_are_not_believed() -> None:
@@ -107,7 +107,7 @@ async def test_a_camera_that_only_counts_tells_its_count() -> None:
 
 async def test_the_count_before_a_trigger_is_known_only_if_it_includes_every_photo() -> None:
     async with listening(CameraPeer()) as peer:
-        peer.report_s = None
+        peer.report_s, peer.counted = None, 0
         del peer.builders[263]
         async with MavsdkLink(peer.url, clock=CLOCK) as link, MavsdkCamera(link) as camera:
             await link.wait_autopilot(60)
@@ -115,7 +115,8 @@ async def test_the_count_before_a_trigger_is_known_only_if_it_includes_every_pho
             assert camera.image_count == 0
             capture = await camera.trigger()
             assert camera.image_count == -1  # taken, but not counted yet
-            assert (await capture.evidence(EvidenceLevel.COUNTED, 20.0)).level is EvidenceLevel.COUNTED
+            peer.counted = None
+            assert (await capture.evidence(EvidenceLevel.COUNTED, LONG_S)).level is EvidenceLevel.COUNTED
             assert camera.image_count == 1
 
 

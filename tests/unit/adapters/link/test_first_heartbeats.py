@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from panoexec.adapters.link import first_heartbeats
 from panoexec.adapters.link.first_heartbeats import heartbeat, open_at_once
 from panoexec.inputs.vehicle_sections import VehicleSection
 from panoexec.sim.mavlink.dialect import mavlink
@@ -48,7 +49,11 @@ def sender(port: int) -> Iterator[socket.socket]:
             thread.join()
 
 
-def test_whoever_sends_to_a_listening_port_has_it_when_the_connection_is_open(port: int) -> None:
+def test_whoever_sends_to_a_listening_port_has_it_when_the_connection_is_open(
+    port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(first_heartbeats, "_FIRST_S", 20.0)
+    monkeypatch.setattr(first_heartbeats, "_OTHERS_S", 1.0)  # in which each thread gets time to send
     with sender(port) as one, sender(port) as other:
         opened = open_at_once(VehicleSection(connection=f"udpin://127.0.0.1:{port}", component_id=192))
         assert opened is not None
