@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from panoexec.cli.sphere_map import Mark, SphereMap
     from panoexec.inputs.plan_file import PlanFile
 
-# what draws maps needs numpy, and is imported when a plan arrives: `watch` is to show at once that it listens
+# what draws maps needs numpy, and is imported when a plan is drawn: `watch` is to show at once that it listens
 
 ENDED: Final = {"complete": 0, "incomplete": 1, "aborted": 1, "failed": 3}
 """Final states of a mission, with the exit code of `watch`."""
@@ -86,7 +86,7 @@ class Watched:
         finished: whether the last event of that mission was received.
         last: text of the last event that does not belong to an attempt.
         attempts: attempts by shot and attempt number, in order of their start.
-        plan: the plan of the mission; None before it was received.
+        plan: the plan of the mission; None before it is drawn for the first time.
         sphere: draws the map of that plan, in the size that was last asked for.
     """
 
@@ -99,6 +99,7 @@ class Watched:
     attempts: dict[tuple[int, int], Attempt] = field(default_factory=dict)
     plan: PlanFile | None = None
     sphere: SphereMap | None = None
+    _document: Any = None
     _seen: set[str] = field(default_factory=set)
     _flying: bool = False
 
@@ -113,17 +114,11 @@ class Watched:
                 self.ended = state
             self._flying = self._flying or state in _FLYING
         elif kind == "plan":
-            self._take_plan(document)
+            self._document, self.plan, self.sphere = document, None, None
         elif kind == "event" and isinstance(document, dict) and str(document.get("id")) not in self._seen:
             self._seen.add(str(document.get("id")))
             self.events.append(document)
             self._tell(document)
-
-    def _take_plan(self, document: Any) -> None:
-        from panoexec.cli import watch_map  # noqa: PLC0415
-
-        self.plan = watch_map.plan_of(document)
-        self.sphere = None
 
     def map(self, room: tuple[int, int], *, beside: int) -> SphereMap | None:
         """What draws the map of the plan.
@@ -135,10 +130,14 @@ class Watched:
         Returns:
             None without a plan whose camera is known, or without room.
         """
-        if self.plan is None or self.plan.camera is None:
-            return None
+        if not room[0] or (self.plan is None and self._document is None):
+            return None  # without a terminal nothing is drawn, and a plan is not even read
         from panoexec.cli import watch_map  # noqa: PLC0415
 
+        if self.plan is None:
+            self.plan, self._document = watch_map.plan_of(self._document), None
+        if self.plan is None or self.plan.camera is None:
+            return None
         self.sphere = watch_map.sphere_for(self.plan.camera, self.sphere, room, beside=beside)
         return self.sphere
 

@@ -145,6 +145,7 @@ def test_what_a_stranger_publishes_there_does_no_harm(document: Any) -> None:
     for kind in ("state", "event", "plan", "status"):
         one.hear(kind, document)
     assert "drone" in shown(mission_view("drone", one))
+    assert "drone" in shown(mission_view("drone", one, room=(80, 30)), 80)
     assert "drone" in shown(fleet_view({"drone": one}))
     assert not one.finished
 
