@@ -101,6 +101,7 @@ class _Search:
         self._cells, self._nodes, self._most, self._beside = cells, nodes, most, beside_deg
         kind, cell = nodes.kind, nodes.cell
         self._is_low, self._is_top = kind == LOW, kind == TOP
+        self._caps = {images: np.nonzero(self._is_top & (nodes.images == images))[0] for images in (1, 2)}
         self._first, self._last = (kind == FIRST) | self._is_low, (kind == LAST) | self._is_top
         slack = int(most - float(nodes.through().min(initial=most)))
         more = np.arange(min(slack, _MORE) + 1)
@@ -206,10 +207,11 @@ class _Search:
 
     def _under_a_cap(self, j: int, before: IntArray, top: float) -> None:
         """End the chain with row j and a cap of so many images, joined by a short step."""
-        nodes, cell = self._nodes, self._nodes.cell
-        caps = np.nonzero(
-            self._is_top & (nodes.images == top) & (cell > cell[j]) & (cell <= self._cells.reach[cell[j]])
-        )[0]
+        cell = self._nodes.cell
+        caps = self._caps[int(top)]
+        caps = caps[(cell[caps] > cell[j]) & (cell[caps] <= self._cells.reach[cell[j]])]
+        if not len(caps):
+            return
         caps = caps[self._short(np.array([j]), caps)]
         if -self._cells.middle[cell[j]] > self._cells.after_caps[int(top) - 1]:
             return
@@ -273,5 +275,8 @@ def _cheapest(reached: FloatArray, needed: FloatArray, images: FloatArray | IntA
         needed: (k, x, m) images that each parallel needs.
         images: (y,).
     """
-    most = needed.max(axis=2, initial=0.0)
-    return np.array([np.where(most <= n + _EPS, reached, np.inf).min(initial=np.inf) for n in images.tolist()])
+    some = reached < np.inf
+    most, costs = needed.max(axis=2, initial=0.0)[some], reached[some]
+    order = np.argsort(most)
+    least = np.concatenate([[np.inf], np.minimum.accumulate(costs[order])])
+    return np.asarray(least[np.searchsorted(most[order], images + _EPS, side="right")])

@@ -5,6 +5,15 @@ cell: rotating an image by an angle changes an elevation by at most that angle, 
 L times it, L = (w + h)·(1 + w² + h²)/(w·h), as the border of what they share moves by at most (1 + w² + h²) times the
 angle and is no longer than that of an image. Only the quantiles of C3 and the rows after a cap of one image are
 evaluated on a grid with slack.
+
+The overlap of two images of one pitch p changes by much less with the yaw λ between them. In the plane of one of them,
+y right and z down, the other one's border moves at v = (cos p·(1 + y²) + z·sin p, y·(z·cos p - sin p)). With R what
+they share, d(area of R)/dλ is ∫ div v over R, div v = 3y·cos p, less the flux of v out of R through the borders of the
+image itself. So where λ grows, the overlap falls by at most
+
+    [S + w²·max(|sin p|, h·cos p) + 3·w²·h·cos p] / (4·w·h),  S = ∫ |(1 + w²)·cos p + z·sin p| dz from -h to h:
+
+the flux outwards through both sides, that through the borders above and below, and the part of R at y < 0.
 """
 
 from __future__ import annotations
@@ -57,20 +66,32 @@ def _widest_at_nodes(camera: Camera, across: float) -> FloatArray:
 def _widest(camera: Camera, across: float, nodes: FloatArray, yaw: FloatArray, apart_deg: float) -> FloatArray:
     """The widest spacing (k,) at any pitch nearer than `apart_deg` to nodes, none being wider than `yaw`; radians."""
     w, h = camera.half_width, camera.half_height
-    rate = (w + h) * (1 + w * w + h * h) / (w * h)
+    most_rate = (w + h) * (1 + w * w + h * h) / (w * h)
+    rate = yaw_rate(camera, nodes)
     apart = math.radians(apart_deg) * (1 + 1e-6)
     yaw, todo = yaw.copy(), np.arange(len(nodes))
     for _ in range(_MOST_SCANS):
         here = rotation(0.0, nodes[todo])
         there = rotation(np.degrees(yaw[todo]), nodes[todo])
         found = pairwise_overlap(camera, here, there) * (camera.image_area / (4 * w * h))
-        lacking = across - found - rate * 2 * np.sin(yaw[todo] / 2) * apart
-        going = lacking / rate > _CLOSE_RAD
-        yaw[todo[going]] -= lacking[going] / rate
+        lacking = across - found - most_rate * 2 * np.sin(yaw[todo] / 2) * apart
+        step = lacking / rate[todo]
+        going = step > _CLOSE_RAD
+        yaw[todo[going]] -= step[going]
         todo = todo[going]
         if not len(todo):
             break
     return yaw
+
+
+def yaw_rate(camera: Camera, pitch_deg: FloatArray) -> FloatArray:
+    """How fast the overlap of images of one pitch (k,) falls at most with the yaw between them, per radian."""
+    w, h = camera.half_width, camera.half_height
+    sine, cosine = np.abs(np.sin(np.radians(pitch_deg))), np.abs(np.cos(np.radians(pitch_deg)))
+    flat = (1 + w * w) * cosine
+    tilted = (flat**2 + (h * sine) ** 2) / np.maximum(sine, 1e-12)
+    sides = np.where(flat >= h * sine, 2 * h * flat, tilted)
+    return np.asarray((sides + w * w * np.maximum(sine, h * cosine) + 3 * w * w * h * cosine) / (4 * w * h))
 
 
 def _greatest(values: FloatArray, step: float, middles: FloatArray, half: float) -> FloatArray:
@@ -110,6 +131,12 @@ def lowest_shown(camera: Camera, pitch: FloatArray) -> FloatArray:
 
 def quantile(camera: Camera, share: float, pitch: FloatArray) -> FloatArray:
     """The elevation (k,) above which the fraction `share` of an image lies, rounded up, degrees."""
+    return np.asarray(np.interp(pitch, *_quantiles_at_nodes(camera, share)))
+
+
+@lru_cache(maxsize=16)
+def _quantiles_at_nodes(camera: Camera, share: float) -> tuple[FloatArray, FloatArray]:
+    """Pitches from -90° to 90° and the elevations for `quantile`, degrees."""
     nodes = np.linspace(-90.0, 90.0, _QUANTILE_NODES)
     p = np.radians(nodes)[:, None]
     y, weights = np.polynomial.legendre.leggauss(2 * _COLUMNS)
@@ -133,8 +160,7 @@ def quantile(camera: Camera, share: float, pitch: FloatArray) -> FloatArray:
     found = np.degrees(high) + _INTERPOLATION_DEG
     # where an image shows a pole nothing is claimed but what it shows at all
     polar = 90.0 - np.abs(nodes) <= camera.vfov_deg / 2 + nodes[1] - nodes[0]
-    found = np.where(polar, -lowest_shown(camera, -nodes), found)
-    return np.asarray(np.interp(pitch, nodes, found))
+    return nodes, np.where(polar, -lowest_shown(camera, -nodes), found)
 
 
 @lru_cache(maxsize=16)

@@ -20,7 +20,7 @@ from panoexec.planning.model import NO_TOLERANCE, AngleBox, Band, Constraints, T
 from panoexec.planning.search.parallels import core_shown_deg, shown_deg
 from panoexec.planning.search.row_bound import least_images_in_rows
 from panoexec.planning.search.row_cells import closing_deg
-from panoexec.planning.search.row_limits import fewest_images, highest_after_caps, lowest_shown, quantile
+from panoexec.planning.search.row_limits import fewest_images, highest_after_caps, lowest_shown, quantile, yaw_rate
 from panoexec.planning.skyline import Skyline
 from tests.unit.planning.brute import Array
 
@@ -193,6 +193,23 @@ def test_neighbours_farther_apart_than_the_widest_spacing_never_overlap_enough()
     for share in rng.uniform(0.0, 1.0, 20):
         yaw = widest + share * (180.0 - widest)
         assert np.all(pairwise_overlap(camera, rotation(0.0, pitch), rotation(yaw, pitch)) <= across + 1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(fov=st.tuples(st.floats(5, 150), st.floats(5, 140)), pitch=st.floats(-90, 90))
+def test_the_overlap_of_neighbours_never_falls_faster_with_the_yaw(fov: tuple[float, float], pitch: float) -> None:
+    camera = Camera.from_fov(*fov)
+    yaw = np.linspace(0.0, 180.0, 721)
+    overlaps = pairwise_overlap(camera, rotation(0.0, pitch), rotation(yaw, np.full(len(yaw), pitch)))
+    fallen = -np.diff(overlaps) * camera.image_area / (4 * camera.half_width * camera.half_height)
+    assert fallen.max() <= yaw_rate(camera, np.array([pitch]))[0] * math.radians(yaw[1]) + 1e-12
+
+
+def test_the_rate_of_the_overlap_is_reached_by_narrow_images_at_the_horizon() -> None:
+    camera = Camera.from_fov(4.0, 3.0)
+    yaw = np.array([0.0, 1e-3])
+    first, then = pairwise_overlap(camera, rotation(0.0, 0.0), rotation(yaw, np.zeros(2)))
+    assert (first - then) / math.radians(yaw[1]) == pytest.approx(yaw_rate(camera, np.zeros(1))[0], rel=0.01)
 
 
 def test_lowest_and_highest_elevations_are_those_of_the_border() -> None:
