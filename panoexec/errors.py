@@ -55,7 +55,7 @@ def to_install(extra: str) -> str:
     """
     if __file__.startswith(_PACKAGED):
         return "not part of the Debian package, which is for vehicles; use a clone, where `make dry-run` installs it"
-    return f"pip install 'panoexec[{extra}]'"
+    return f"pip install '.[{extra}]' in a clone, with the pip of its virtual environment"
 
 
 class DeviceError(PanoexecError):

@@ -1,4 +1,4 @@
-"""`pip install panoexec` without extras: plan, verify, send, watch, web and stitch run with what that brings, no more.
+"""`pip install .` without extras: plan, verify, send, watch, web and stitch run with what that brings, no more.
 
 A process in which Python finds only the packages of `[project] dependencies` and what these need.
 """

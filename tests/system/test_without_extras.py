@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from panoexec.errors import to_install
 from tests.report_missions import photographed
 
 SIM = ("pymavlink",)
@@ -53,7 +54,7 @@ def python(program: str, *arguments: str, missing: tuple[str, ...] = SIM) -> sub
 def test_what_needs_the_extra_says_how_to_install_it(tmp_path: Path, verb: str) -> None:
     done = python(RUN, verb, "--output", str(tmp_path / "out"))
     assert done.returncode == 2
-    assert "pip install 'panoexec[sim]'" in done.stderr
+    assert "pip install '.[sim]'" in done.stderr
     assert len(done.stderr.splitlines()) == 1
     assert done.stdout == ""
     assert list(tmp_path.iterdir()) == []
@@ -100,13 +101,13 @@ for name in COMMANDS:
     done = python(program, missing=VEHICLE)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == [
-        "dry-run `dry-run` needs the Python package mavsdk: pip install 'panoexec[sim]'",
-        "serve `serve` needs the Python package mavsdk: pip install 'panoexec[vehicle]'",
-        "doctor `doctor` needs the Python package mavsdk: pip install 'panoexec[vehicle]'",
+        f"dry-run `dry-run` needs the Python package mavsdk: {to_install('sim')}",
+        f"serve `serve` needs the Python package mavsdk: {to_install('vehicle')}",
+        f"doctor `doctor` needs the Python package mavsdk: {to_install('vehicle')}",
     ]
     done = python(RUN, "demo", "--output", str(tmp_path / "out"), missing=VEHICLE)
     assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
-    assert "pip install 'panoexec[sim]'" in done.stderr
+    assert "pip install '.[sim]'" in done.stderr
     directory = photographed(tmp_path / "20260921T141300.000Z", width_px=32)
     done = python(RUN, "report", str(directory.path), missing=VEHICLE)
     assert done.returncode == 0, done.stderr

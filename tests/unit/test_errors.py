@@ -8,7 +8,7 @@ from panoexec import errors
 
 
 def test_an_extra_is_installed_by_pip() -> None:
-    assert errors.to_install("sim") == "pip install 'panoexec[sim]'"
+    assert errors.to_install("sim") == "pip install '.[sim]' in a clone, with the pip of its virtual environment"
 
 
 def test_the_package_of_a_vehicle_does_not_send_people_to_pip(monkeypatch: pytest.MonkeyPatch) -> None:

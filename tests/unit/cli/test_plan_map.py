@@ -81,7 +81,7 @@ def test_an_unwritable_folder_is_a_usage_error(tmp_path: Path) -> None:
 
 def test_without_matplotlib_the_message_says_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(DependencyError, match=r"pip install 'panoexec\[report\]'"):
+    with pytest.raises(DependencyError, match=r"pip install '\.\[report\]'"):
         plot_plan(FULL, tmp_path / "a.png")
 
 
