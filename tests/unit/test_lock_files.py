@@ -63,3 +63,12 @@ def test_what_builds_is_locked_as_it_is_asked_for(name: str, wanted: list[str]) 
     lines = (ROOT / "packaging" / name).read_text().splitlines()
     assert [line for line in lines if line and not line.startswith("#")] == wanted
     assert wanted
+
+
+def test_the_project_names_where_its_source_documents_and_issues_are() -> None:
+    urls = PROJECT["project"]["urls"]
+    assert urls.keys() >= {"Source", "Documentation", "Changelog", "Issues"}
+    for url in urls.values():
+        assert url.startswith(urls["Source"])
+        _, _, inside = url.partition("/main/")
+        assert (ROOT / inside).exists(), url

@@ -228,6 +228,7 @@ class TestProgram:
     @pytest.mark.parametrize(
         ("statement", "banned"),
         [
+            ("import panoexec.cli.send, panoexec.cli.operate", {"numpy", "mavsdk", "matplotlib", "rich", "sqlite3"}),
             (WATCHING, {"numpy", "mavsdk", "matplotlib", "sqlite3"}),
             ("import panoexec.cli.app as a; a.run(['--help'])", {"numpy", "pydantic", "rich", "mavsdk", "matplotlib"}),
             (

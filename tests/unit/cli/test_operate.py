@@ -40,6 +40,14 @@ def test_a_stop_of_what_does_not_fly_says_what_becomes_of_it(verb: str, data: di
     assert "not on disk" in VERBS[verb].sentence({**data, "durable": False}, "kite")
 
 
+@pytest.mark.parametrize(("verb", "done"), [("skip", "is skipped"), ("repeat", "is taken again")])
+def test_the_shot_is_named_that_was_not_given(verb: str, done: str) -> None:
+    parser = argparse.ArgumentParser()
+    VERBS[verb].add_arguments(parser)
+    assert VERBS[verb].fields(parser.parse_intermixed_args([])) == {}
+    assert VERBS[verb].sentence({"shot": 7, "mission_id": "M"}, "kite") == f"kite: shot 7 {done} in mission M"
+
+
 def test_a_stop_in_a_hurry_needs_no_quotation_marks() -> None:
     parser = argparse.ArgumentParser()
     VERBS["abort"].add_arguments(parser)
