@@ -37,9 +37,9 @@ MOST_RETAKES: Final = 10
 """So often a shot is taken again for its content; then the verdict stays, and the panorama is incomplete."""
 _LOOK_S: Final = 0.25
 _NO_FILE_S: Final = 10.0
-"""Longest wait, real time, at the end of a mission for the first file."""
+"""Longest wait, real time, at the end of a mission for the first file to come."""
 _NO_MORE_S: Final = 40.0
-"""Longest wait without any progress where files do arrive."""
+"""Longest wait without any progress where files do arrive; also for the examination to begin."""
 _ENDING_S: Final = 2.0
 """The same where the mission is to end."""
 _MANY: Final = 4
@@ -117,11 +117,13 @@ class ContentCheck:
         context, loop = self._context, asyncio.get_running_loop()
         if self._ended:
             return
+        here: list[int] = []
         with work(context.clock):
             self._progress_s = loop.time()
             while context.requests.stop is None and not self._ended and not len(context.queue):
                 waits = [shot for shot in context.record.shots.values() if self._is_awaited(shot)]
-                patience_s = _NO_MORE_S if self._attempt_of else _NO_FILE_S
+                here = [shot.shot.index for shot in waits if self._is_here(shot)]
+                patience_s = _NO_MORE_S if self._attempt_of or here else _NO_FILE_S
                 if context.requests.must_end_shooting:
                     patience_s = _ENDING_S
                 if not waits or loop.time() - self._progress_s > patience_s:
@@ -129,12 +131,25 @@ class ContentCheck:
                 await asyncio.sleep(_LOOK_S)
             checker = self._checker
             more = bool(len(context.queue)) and not context.requests.must_end_shooting  # one was taken back
-            if checker is None or context.requests.stop is not None or not self._attempt_of or more:
+            if context.requests.stop is not None or self._ended or more:
+                return
+            if checker is None or not self._attempt_of:
+                if here:
+                    self._give_up_check(f"of {len(here)} files none could be examined in time")
                 return
             try:
                 await self._judge(checker)
             except PanoexecError as error:
                 _log.warning("photos are not judged", error=str(error))
+                if not self._ended:  # or it is told already
+                    self._give_up_check(str(error))
+
+    def _give_up_check(self, why: str) -> None:
+        """Say that photos whose files were here are unchecked: the mission must not end as if all were good."""
+        record = self._context.record
+        self._context.recorder.emit(ev.Warned(code="pictures", text=f"the content of photos is not checked: {why}"))
+        unchecked = tuple(index for index, shot in sorted(record.shots.items()) if shot.accepted is not None)
+        self._context.recorder.emit(ev.ContentJudged(edges=(), groups=0, bridges=(), unchecked=unchecked))
 
     async def _judge(self, checker: PictureChecker) -> None:
         """Judge all photos; conclude if nothing was queued because of it."""
@@ -248,6 +263,12 @@ class ContentCheck:
         assert self._source is not None
         coming = (record.shot.index, attempt.number) in self._source.coming()
         return coming or bool(attempt.stored) or self._local(attempt) is not None
+
+    def _is_here(self, record: ShotRecord) -> bool:
+        """Whether the file of a shot's photo has come, whole or not."""
+        attempt = record.accepted
+        path = None if attempt is None else self._local(attempt)
+        return attempt is not None and (bool(attempt.stored) or (path is not None and path.is_file()))
 
     # --- verdicts
 

@@ -222,7 +222,7 @@ def _content_json(record: MissionRecord) -> dict[str, Any]:
     return {
         "checked": True,
         "certified": not bad and content.groups <= 1 and not content.unchecked,
-        "connected": content.groups <= 1,
+        "connected": content.groups == 1 or (content.groups == 0 and not content.unchecked),
         "groups": content.groups,
         "ties": [list(pair) for pair in zip(edges[::2], edges[1::2], strict=True)],
         "bridges": [list(pair) for pair in zip(bridges[::2], bridges[1::2], strict=True)],

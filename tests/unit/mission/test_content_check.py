@@ -21,6 +21,7 @@ from panoexec.mission.shot_queue import ShotQueue
 from panoexec.optics import Camera
 from panoexec.pictures.model import BridgePose, Content, Judgement, TieGraph, TieLine, Verdicts
 from panoexec.planning.model import GimbalLimits, Shot
+from panoexec.store import manifest
 
 SHOTS = tuple(Shot(index=k, row=0, pitch_deg=-30.0, yaw_deg=60.0 * k - 180) for k in range(6))
 
@@ -396,6 +397,55 @@ async def test_photos_that_do_not_arrive_are_unchecked(tmp_path: Path) -> None:
     assert mission.record.content is not None
     assert mission.record.content.unchecked == (1,)
     assert mission.record.shots[1].accepted is not None
+
+
+async def test_an_examination_that_begins_late_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A busy machine starts its process late: the files are there, and a mission does not end as if all were good."""
+    monkeypatch.setattr("panoexec.mission.content_check._NO_MORE_S", 60.0)
+    mission = Mission(tmp_path)
+    mission.accept(0)
+    mission.check._ended = False
+    settling = asyncio.create_task(mission.check.settle())
+    await asyncio.sleep(0.2)  # four times the wait for a first file
+    assert not settling.done()
+    running = asyncio.create_task(mission.check.run())
+    await settling
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
+    assert mission.record.content is not None
+    assert "warned" not in mission.kinds()
+
+
+async def test_an_examination_that_never_begins_is_told(tmp_path: Path) -> None:
+    mission = Mission(tmp_path)
+    mission.accept(0)
+    mission.accept(1)
+    mission.check._ended = False
+    await mission.check.settle()
+    assert mission.record.content is not None
+    assert mission.record.content.unchecked == (0, 1)
+    written = manifest._content_json(mission.record)
+    assert (written["certified"], written["connected"], written["unchecked"]) == (False, False, [0, 1])
+    (warned,) = [event for event in mission.events if isinstance(event, ev.Warned)]
+    assert warned.text == "the content of photos is not checked: of 2 files none could be examined in time"
+
+
+async def test_a_judgement_that_fails_is_told(tmp_path: Path) -> None:
+    mission = Mission(tmp_path)
+    mission.accept(0)
+    judge = mission.checker.judge
+
+    async def fails_at_the_end(*, final: bool = False) -> Verdicts:
+        if final:
+            raise DeviceError("gone")
+        return await judge()
+
+    mission.checker.judge = fails_at_the_end  # type: ignore[method-assign]
+    await mission.checked()
+    assert mission.record.content is not None
+    assert mission.record.content.unchecked == (0,)
+    (warned,) = [event for event in mission.events if isinstance(event, ev.Warned)]
+    assert warned.text == "the content of photos is not checked: gone"
 
 
 async def test_a_failed_examination_warns_and_ends_nothing(tmp_path: Path) -> None:
