@@ -45,7 +45,7 @@ class Ground:
         while True:
             try:
                 async with aiomqtt.Client(
-                    "127.0.0.1", self._port, identifier="gcs", clean_session=False, timeout=5
+                    "127.0.0.1", self._port, identifier="gcs", clean_session=False, timeout=20
                 ) as client:
                     await client.subscribe(f"{BASE}/#", qos=1)
                     self._client = client

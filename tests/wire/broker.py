@@ -56,7 +56,7 @@ class Broker:
             self._process = subprocess.Popen(
                 [MOSQUITTO, "-c", str(self._config), *self._verbose], stdout=log, stderr=log
             )
-        deadline = time.monotonic() + 10
+        deadline = time.monotonic() + 60
         while time.monotonic() < deadline:
             with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port), timeout=1):
                 return
@@ -72,7 +72,7 @@ class Broker:
                 self._process.kill()
             else:
                 self._process.terminate()
-            self._process.wait(10)
+            self._process.wait(60)
             self._process = None
 
     def cpu_s(self) -> float:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
+import itertools
 import json
 import math
 from collections.abc import AsyncIterator
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import pytest
@@ -70,13 +72,13 @@ async def flying(config: SimConfig) -> AsyncIterator[tuple[SimulatorProcess, Gro
     configuration = Configuration.create_with_component_type(ComponentType.COMPANION_COMPUTER)
     async with running_simulator(config) as simulator, Mavsdk(configuration) as mavsdk:
         await mavsdk.add_any_connection(simulator.ready["connect"])
-        system = await mavsdk.first_autopilot(timeout_s=10)
+        system = await mavsdk.first_autopilot(timeout_s=60)
         assert system is not None
         yield simulator, Ground(system, GimbalAsync(system), CameraAsync(system), MavlinkDirectAsync(system))
 
 
 async def test_discovery_control_pointing_attitude_and_photo(tmp_path: Path) -> None:
-    async with asyncio.timeout(60), flying(SimConfig(output=tmp_path)) as (simulator, ground):
+    async with asyncio.timeout(240), flying(SimConfig(output=tmp_path)) as (simulator, ground):
         await ground.stream(285, 30, 281)
         item = await ground.first_gimbal()
         # as measured on ArduPilot: no names, manager component 1, device 1
@@ -95,7 +97,10 @@ async def test_discovery_control_pointing_attitude_and_photo(tmp_path: Path) -> 
                 reached = reached or math.hypot(angles.pitch_deg + 35, angles.yaw_deg - 120) < 0.2
                 if reached and len(stamps) > 200:
                     break
-        assert (stamps[-1] - stamps[0]) * 1e-6 == pytest.approx((len(stamps) - 1) / 50, rel=0.02)
+        # 50 a second; MAVSDK drops some while nobody takes them
+        gaps_ms = [round((later - earlier) / 1000) for earlier, later in itertools.pairwise(stamps)]
+        assert median(gaps_ms) == 20
+        assert all(gap > 0 and gap % 20 == 0 for gap in gaps_ms)
 
         async with contextlib.aclosing(ground.camera.subscribe_capture_info()) as infos:
             coming = asyncio.ensure_future(anext(infos))
@@ -116,7 +121,7 @@ async def test_discovery_control_pointing_attitude_and_photo(tmp_path: Path) -> 
 
 
 async def test_the_camera_as_mavsdk_lists_it() -> None:
-    async with asyncio.timeout(60), flying(SimConfig()) as (_, ground):
+    async with asyncio.timeout(240), flying(SimConfig()) as (_, ground):
         async with contextlib.aclosing(ground.camera.subscribe_camera_list()) as lists:
             async for listed in lists:
                 if listed.cameras:
@@ -129,7 +134,7 @@ async def test_the_camera_as_mavsdk_lists_it() -> None:
 
 
 async def test_servo_camera_is_reported_by_camera_feedback_only() -> None:
-    async with asyncio.timeout(60), flying(SimConfig(camera_kind="servo", mount="servo")) as (_, ground):
+    async with asyncio.timeout(240), flying(SimConfig(camera_kind="servo", mount="servo")) as (_, ground):
         await ground.stream(285, 30)
         await ground.first_gimbal()
         async with contextlib.aclosing(ground.direct.subscribe_message("CAMERA_FEEDBACK")) as messages:
@@ -142,7 +147,7 @@ async def test_servo_camera_is_reported_by_camera_feedback_only() -> None:
 
 @pytest.mark.parametrize(("autopilot", "mode", "device"), [("ardupilot", "OFFBOARD", 1), ("px4", "HOLD", 154)])
 async def test_mavsdk_reports_both_autopilots_ready_to_fly(autopilot: Any, mode: str, device: int) -> None:
-    async with asyncio.timeout(60), flying(SimConfig(autopilot=autopilot)) as (_, ground):
+    async with asyncio.timeout(240), flying(SimConfig(autopilot=autopilot)) as (_, ground):
         await ground.stream(285, 1, 33, 245, 242, 24)
         telemetry = TelemetryAsync(ground.system)
         async with contextlib.aclosing(telemetry.subscribe_health()) as healths:
