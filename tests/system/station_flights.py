@@ -43,8 +43,14 @@ class Daemon:
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[asyncio.subprocess.Process]:
+        before = self.ground.state.get("boot_id")
         async with serving(self.folder, self.broker, self.port, more=self.more, speedup=self.speedup) as process:
-            await ready(self.ground)
+            if before is None:
+                await ready(self.ground)
+            else:  # the mission of the last process may be under way again, or over, for a reason that is told
+                await self.ground.until(
+                    lambda: self.ground.state["boot_id"] != before and self.ground.status == "online"
+                )
             yield process
 
     @property
