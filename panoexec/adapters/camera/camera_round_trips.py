@@ -13,12 +13,15 @@ or a later one. On a link that is so slow that MAVSDK repeats its requests, they
 taken for ours: what is found there does not count.
 
 Some cameras answer before they acknowledge. Their answer proves nothing, but a second request, sent as soon as the
-first is acknowledged, is answered after that.
+first is acknowledged, is answered after that, and so certainly after the first was sent. It is taken for stamped after
+the second was sent only if answer, acknowledgement, answer, acknowledgement is all that arrived, each of the last
+times: else a message that the camera sends by itself may have taken the place of an answer that was lost.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Final, TypeAlias
@@ -32,6 +35,8 @@ _LATEST_S: Final = 0.25
 """How long after its acknowledgement an answer is waited for."""
 _REPEATED_S: Final = 0.4
 """A request that is acknowledged later may have been repeated (MAVSDK does after 0.5 s)."""
+_REMEMBERED: Final = 9
+"""So many round trips must have been without anything unasked, or lost."""
 _SLOW_S: Final = 10.0
 """For so long after that nothing counts: requests of MAVSDK's own may have been repeated, too."""
 
@@ -79,6 +84,7 @@ class RoundTrips:
         self._heard: _Heard | None = None
         self._answers_first = False
         self._slow_until_s = -math.inf
+        self._disturbed: deque[bool] = deque(maxlen=_REMEMBERED)
 
     def acknowledged(self, received_s: float) -> None:
         """Take an acknowledgement of a request for a message, of anybody's; in order of arrival with `stamped`."""
@@ -133,16 +139,19 @@ class RoundTrips:
         asked_s = self._clock.monotonic()
         if not await self._is_acknowledged():
             return None
+        again_s = self._clock.monotonic()
         if not await self._is_acknowledged():
             return None
         await self._clock.sleep(_OVERTAKES_S)
         acknowledged = [number for number, (stamp_s, _) in enumerate(heard) if stamp_s is None]
         if len(acknowledged) != 2:  # others were acknowledged too: which one is that of the first request?
             return None
+        self._disturbed.append([stamp_s is None for stamp_s, _ in heard] != [False, True, False, True])
         latest = _latest_after(heard, acknowledged[0])
         self._answers_first = latest is not None and _latest_after(heard, acknowledged[1]) is None
         if latest is None:
             return None
+        asked_s = asked_s if any(self._disturbed) else again_s
         return RoundTrip(stamp_s=latest[0], asked_s=asked_s, received_s=latest[1])
 
     async def _is_acknowledged(self) -> bool:
