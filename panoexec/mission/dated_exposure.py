@@ -24,8 +24,6 @@ _IRREGULAR_S: Final = 0.2
 _WARN_ABOVE_S: Final = 0.1
 _REGULAR_S: Final = 0.03
 """Openings of the shutter that differ by no more than this, beyond what their bounds leave open, are regular."""
-ATTITUDE_DELAY_S: Final = 0.02
-"""How much later than it was measured an attitude may arrive from the gimbal."""
 
 
 class ShutterLag:
@@ -65,7 +63,7 @@ class ShutterLag:
         return max(earliest for earliest, _ in lags_s) - min(latest for _, latest in lags_s) > _REGULAR_S
 
     def opening(self, found: CaptureEvidence, capture: PendingCapture, exposure_s: float) -> tuple[float, float] | None:
-        """The interval in which a photo was exposed, if its stamp can be nothing but that of its shutter; else None.
+        """The interval in which the shutter was open, if the stamp can be nothing but that of the shutter; else None.
 
         A camera may stamp a photo when it receives the command, or when it reports. So the stamp must lie after the
         acknowledgement and, with the exposure, before the report, and must be as late as those of the other photos;
@@ -81,7 +79,7 @@ class ShutterLag:
         if found.contradiction or not capture.acknowledged_s < earliest_s <= closed_s < found.reported_s:
             return None
         self._note_opening(found, capture.commanded_s)
-        return None if self.is_irregular else (earliest_s, closed_s + ATTITUDE_DELAY_S)
+        return None if self.is_irregular else (earliest_s, closed_s)
 
     def note(self, found: CaptureEvidence, commanded_s: float) -> str:
         """Add the date of a photo; returns a warning for the operator, "" if there is none."""

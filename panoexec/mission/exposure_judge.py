@@ -15,15 +15,15 @@ from panoexec.devices import AttitudeFeed, Camera, CaptureEvidence, EvidenceLeve
 from panoexec.errors import DeviceError
 from panoexec.mission.attempt_result import Exposure
 from panoexec.mission.dated_exposure import ShutterLag, has_window, window
-from panoexec.mission.pointing.fitted_pose import BESIDE_S, fits
+from panoexec.mission.pointing.fitted_pose import BESIDE_S, fitted
 from panoexec.mission.pointing.poses import PoseReader
-from panoexec.mission.pointing.tolerance_gate import Target, WindowVerdict, allowed_gap_s, judge_window
+from panoexec.mission.pointing.tolerance_gate import Target, WindowVerdict, allowed_gap_s, judge_window, worst_errors
 from panoexec.mission.pointing.unseen_motion import DENSE_GAP_S, HEADING_LAG_S
 from panoexec.mission.protocols import ReportsPhotos
 from panoexec.mission.settings import MissionSettings
-from panoexec.mission.slew_watch import SlewWatch
+from panoexec.mission.slew_watch import FRESH_MARGIN_S, SlewWatch
 from panoexec.mission.waiting import within
-from panoexec.planning.geometry.pose_error import pose_error
+from panoexec.planning.geometry.pose_error import PoseError, pose_error
 from panoexec.planning.model import Shot, Tolerance
 
 LATE_SAMPLES_S: Final = 0.5
@@ -108,32 +108,42 @@ class ExposureJudge:
             found = await capture.evidence(EvidenceLevel.CAPTURE_MESSAGE, wait_s)
         except DeviceError:
             return whole, set()
-        opening = self.lag.opening(found, capture, self.settings.exposure_s)
-        if opening is None:
+        opened = self.lag.opening(found, capture, self.settings.exposure_s)
+        if opened is None:
             return whole, set()
+        opening = opened[0], opened[1] + self.slews.fresh_age_s  # reports show the pose so much later
         dated = window(found, capture.commanded_s, self.settings)
         near = self.target(shot, tolerance=_wider(self.settings.tolerance))
         age_s = self.slews.report_age_s
         near_ok = self._judge(near, min(start_s, dated[0]), max(end_s, dated[1]) + age_s).ok
         open_ = await self.judge(shot, *opening)
         if near_ok and open_.ok:
-            return replace(open_, reason=f"{whole.reason} while the shutter was closed"), {dated}
-        if near_ok and open_.code == "pointing" and not age_s and self._fits(shot, *opening):
-            why = f"{whole.reason} by its noise: the readings together prove the pose"
-            return replace(open_, ok=True, code="", reason=why), {dated}
-        return whole, set()
+            return replace(open_, reason=f"{whole.reason} while the shutter was closed", proof="opening"), {dated}
+        beside = opened[0] - BESIDE_S, opened[1] + FRESH_MARGIN_S + BESIDE_S
+        curve = self._fitted(shot, opening, beside) if near_ok and open_.code == "pointing" and not age_s else None
+        if curve is None:
+            return whole, set()
+        why = f"{whole.reason} by its noise: the readings together prove the pose"
+        proven = replace(open_, ok=True, code="", reason=why, errors=worst_errors(curve), proof="curve")
+        return proven, {dated}
 
-    def _fits(self, shot: Shot, start_s: float, end_s: float) -> bool:
-        """Whether a curve through the readings proves the pose from a time until another (`fitted_pose`)."""
+    def _fitted(self, shot: Shot, opening: tuple[float, float], beside: tuple[float, float]) -> PoseError | None:
+        """The errors of a curve that proves the pose of an opening (`fitted_pose`); None without one.
+
+        Args:
+            shot: where the camera was to look.
+            opening: from when and until when readings show it.
+            beside: the same of the readings that tell of it.
+        """
         if self.vehicle_pans():
-            return False
-        readings = [reading for reading in self.poses.since(start_s - BESIDE_S) if reading.time_s <= end_s + BESIDE_S]
+            return None
+        readings = [reading for reading in self.poses.since(beside[0]) if reading.time_s <= max(beside[1], opening[1])]
         usable = [reading.rotation for reading in readings if reading.rotation is not None]
         gaps_s = [after.time_s - before.time_s for before, after in itertools.pairwise(readings)]
         if len(usable) < max(len(readings), 1) or max(gaps_s, default=0.0) > DENSE_GAP_S:
-            return False
+            return None
         errors = pose_error(shot.pitch_deg, shot.yaw_deg, np.stack(usable))
-        return fits(readings, errors, self.settings.tolerance, start_s=start_s, end_s=end_s)
+        return fitted(readings, errors, self.settings.tolerance, start_s=opening[0], end_s=opening[1])
 
     async def judge_date(
         self, shot: Shot, found: CaptureEvidence, commanded_s: float, exposure: Exposure

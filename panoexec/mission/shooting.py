@@ -189,6 +189,7 @@ class Shooting:
             longitude_deg=status.longitude_deg,
             altitude_m=status.altitude_m,
             height_m=status.relative_altitude_m,
+            proof=verdict.proof,
         )
         self._keep(exposed)
         if exposure.broken_off:

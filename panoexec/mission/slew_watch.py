@@ -14,12 +14,16 @@ from panoexec.mission.pointing.poses import PoseReader
 from panoexec.mission.pointing.steady_error import SteadyErrorWatch, error_at_rest
 from panoexec.planning.model import Shot
 
-FRESH_REPORT_S: Final = 0.15
-"""Reports that show a slew within this time of its command are of the moment."""
+FRESH_REPORT_S: Final = 0.03
+"""Reports that show a slew within this time of its command, and their interval, are of the moment."""
+OLD_REPORT_S: Final = 0.15
+"""Those that do not within this time are old, however seldom they come."""
 HELD_REPORT_S: Final = 0.4
 """Reports are taken for so old before a slew has shown it."""
 REPORT_MARGIN_S: Final = 0.1
-"""Reports may be so much older than a slew showed."""
+"""Reports may be so much older than a slew showed, if they are old."""
+FRESH_MARGIN_S: Final = 0.02
+"""The same of others."""
 HELD_MARGIN_S: Final = 0.2
 """The same for reports that repeat, as those that are renewed ten times a second."""
 OLDEST_REPORT_S: Final = 2.0
@@ -133,4 +137,13 @@ class SlewWatch:
         delay_s += self._grown_s
         if self.poses.holds:
             return min(delay_s + HELD_MARGIN_S, OLDEST_REPORT_S)
-        return min(delay_s + REPORT_MARGIN_S, OLDEST_REPORT_S) if delay_s > FRESH_REPORT_S else 0.0
+        if delay_s > OLD_REPORT_S:
+            return min(delay_s + REPORT_MARGIN_S, OLDEST_REPORT_S)
+        interval_s = 0.0 if math.isnan(self.poses.interval_s) else self.poses.interval_s
+        return delay_s + FRESH_MARGIN_S if delay_s - interval_s > FRESH_REPORT_S else 0.0
+
+    @property
+    def fresh_age_s(self) -> float:
+        """How old reports of the moment may be: what slews have shown, at least `FRESH_MARGIN_S`."""
+        delay_s = self.echo.longest_delay_s
+        return FRESH_MARGIN_S if math.isnan(delay_s) else max(delay_s + self._grown_s, FRESH_MARGIN_S)

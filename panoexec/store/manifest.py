@@ -48,7 +48,8 @@ CONVENTIONS = {
     "pitch_deg": "positive up, -90 is the nadir",
     "yaw_deg": "clockwise seen from above; 0 is the plan's reference, which is reference.yaw_north_deg from true north",
     "roll_deg": "positive when the right of the image goes down",
-    "error_deg": "measured minus target, the worst of the exposure; across, along, rotation: displacement in the image",
+    "error_deg": "measured minus target, the worst of what `proof` is of, else of the exposure; across, along,"
+    " rotation: displacement in the image",
 }
 
 
@@ -359,6 +360,7 @@ def _attempt_json(attempt: AttemptRecord, folder: Path) -> dict[str, Any]:
         "measured": None,
         "error_deg": None,
         "samples": 0,
+        "proof": "",
         "evidence": "none" if attempt.evidence is None else attempt.evidence.name.lower(),
         "capture_time": None if photo is None else iso_utc(photo.capture_time_utc_s),
         "file": photos[0]["file"] if photos else "",
@@ -371,6 +373,7 @@ def _attempt_json(attempt: AttemptRecord, folder: Path) -> dict[str, Any]:
         if exposed.errors is not None:
             out["error_deg"] = {name.removesuffix("_deg"): value for name, value in encode(exposed.errors).items()}
         out["samples"] = exposed.samples
+        out["proof"] = exposed.proof
         out["slew_settle_s"] = exposed.slew_settle_s
         out["trigger_delay_s"] = exposed.trigger_delay_s
     return out

@@ -256,11 +256,11 @@ class ShotExposed(ShotEvent):
 
     Attributes:
         photos: with the evidence so far.
-        pointing_ok: every sample of the exposure window was inside tolerance, and the samples were dense enough.
-        reason: why not.
+        pointing_ok: the samples prove that the pose was inside tolerance; by which of them, see `proof`.
+        reason: why not; of a pose that is proven by a part of them, what the others were like.
         samples: number of attitude samples judged.
         measured: mean attitude; None without usable samples.
-        errors: the largest of each error; None without usable samples.
+        errors: the largest of each error of what was judged; None without usable samples.
         slew_settle_s: from the pointing command to settled.
         trigger_delay_s: from settled to the trigger command on the wire.
         open_loop: there is no attitude feedback; the pose is assumed.
@@ -269,6 +269,9 @@ class ShotExposed(ShotEvent):
         latitude_deg, longitude_deg: of the vehicle after the exposure; NaN if unknown.
         altitude_m: above mean sea level.
         height_m: above the place of take-off.
+        proof: `samples`: every sample of the exposure window was inside tolerance; `opening`: every one while the
+            shutter was open; `curve`: a curve through the samples was, while it was open, and `errors` are its errors;
+            "": nothing is proven, or not told (journals of earlier versions).
     """
 
     photos: tuple[Photo, ...]
@@ -286,6 +289,7 @@ class ShotExposed(ShotEvent):
     longitude_deg: Number = NAN
     altitude_m: Number = NAN
     height_m: Number = NAN
+    proof: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -32,10 +32,13 @@ NOISE_DEG: Final = 0.03
 """Largest noise of encoders, standard deviation: what is more is a motion."""
 _DEGREE: Final = 2
 _STEP_S: Final = 0.005
+_SIGNED: Final = ("pitch_deg", "roll_deg", "yaw_deg", "across_deg", "along_deg", "rotation_deg")
 
 
-def fits(readings: Sequence[Reading], errors: PoseError, tolerance: Tolerance, *, start_s: float, end_s: float) -> bool:
-    """Whether a curve through the readings proves the pose from a time until another.
+def fitted(
+    readings: Sequence[Reading], errors: PoseError, tolerance: Tolerance, *, start_s: float, end_s: float
+) -> PoseError | None:
+    """The errors of a curve through the readings, (m,), if it proves the pose from a time until another; else None.
 
     Args:
         readings: oldest first, all with a rotation, of the exposure and `BESIDE_S` beside it, where the camera was to
@@ -48,7 +51,7 @@ def fits(readings: Sequence[Reading], errors: PoseError, tolerance: Tolerance, *
     distinct = [k for k, one in enumerate(readings) if k == 0 or not _repeats(one, readings[k - 1])]
     times = np.array([readings[k].time_s for k in distinct])
     if len(times) < LEAST_READINGS or not times[0] <= start_s <= end_s <= times[-1]:
-        return False
+        return None
     middle_s = (start_s + end_s) / 2
     within = np.linspace(start_s, end_s, max(2, math.ceil((end_s - start_s) / _STEP_S)))
     fit = np.linalg.pinv(_powers(times - middle_s))
@@ -63,8 +66,9 @@ def fits(readings: Sequence[Reading], errors: PoseError, tolerance: Tolerance, *
         noise_deg = math.sqrt(float(left @ left) / freedom)
         bound = np.abs(curve @ values) + noise_deg * np.maximum(t * error_of_curve, _AMPLITUDE)
         if not (noise_deg <= NOISE_DEG and float(bound.max()) <= limit):
-            return False
-    return True
+            return None
+    on_curve = {name: curve @ np.asarray(getattr(errors, name))[distinct] for name in _SIGNED}
+    return PoseError(**on_curve, boresight_deg=np.hypot(on_curve["across_deg"], on_curve["along_deg"]))
 
 
 def _repeats(reading: Reading, before: Reading) -> bool:

@@ -236,6 +236,8 @@ class WindowVerdict:
         measured: mean attitude of the usable samples; None without one.
         errors: the largest of each error over the usable samples; None without one.
         spread_deg: the largest boresight angle between a usable sample and the first.
+        proof: what verifies it: `samples`, each of the exposure; `opening`, each while the shutter was open; `curve`,
+            a curve through them, whose errors `errors` are; "" when not ok, or where nothing is measured.
     """
 
     ok: bool
@@ -245,6 +247,7 @@ class WindowVerdict:
     measured: MeasuredPose | None
     errors: AxisErrors | None
     spread_deg: float = math.nan
+    proof: str = ""
 
 
 def judge_window(
@@ -307,6 +310,7 @@ def judge_window(
         measured=mean_pose(usable) if len(usable) else None,
         errors=worst_errors(errors) if errors is not None else None,
         spread_deg=float(np.max(angle_between(usable[0, :, 0], usable[:, :, 0]))) if len(usable) else math.nan,
+        proof="" if reason else "samples",
     )
 
 

@@ -101,8 +101,13 @@ def check_accepted(world: World, record: MissionRecord) -> None:
             assert exposed is not None
             assert exposed.pointing_ok or (attempt.by == "overlap" and world.settings.accept == "overlap")
             assert exposed.measured is not None
+            if attempt.by == "tolerance":  # record and verdict agree
+                assert exposed.errors is not None
+                assert abs(exposed.errors.pitch_deg) <= tolerance.pitch_deg
+                assert abs(exposed.errors.roll_deg) <= tolerance.roll_deg
+                assert abs(exposed.errors.yaw_deg) <= tolerance.yaw_deg
             for photo in attempt.photos:
-                if photo.image_index < 0 or attempt.by == "overlap":
+                if photo.image_index < 0 or attempt.by == "overlap" or exposed.proof == "curve":
                     continue
                 taken = world.camera.photos[photo.image_index]
                 feed, north = world.gimbal.feed, record.reference_yaw_north_deg

@@ -120,6 +120,8 @@ class FakeGimbal:
     mute: Callable[[float], bool] | None = None
     held_up: Callable[[float], bool] = lambda _: False
     """Whether samples do not arrive at a time, but later, all at once."""
+    report_age_s: float = 0.0
+    """How old its reports are."""
     frozen: bool = False
     nan: bool = False
     stuck: bool = False
@@ -196,7 +198,7 @@ class FakeGimbal:
         now = self.clock.monotonic()
         if self._last is None or not self.frozen:
             noise = [self._random.gauss(0, self.noise_deg) for _ in range(3)]
-            here = self._angles(now)
+            here = self._angles(now - self.report_age_s)
             self._last = quaternion((here[0] + noise[0], here[1] + noise[1], here[2] + noise[2]))
         w, x, y, z = self._airframe_q
         q = self._last

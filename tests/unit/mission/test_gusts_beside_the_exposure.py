@@ -61,9 +61,32 @@ def test_a_gust_before_the_proven_opening_costs_no_photo_and_is_told() -> None:
     reasons = [attempt.reason for shot in world.record.shots.values() for attempt in shot.attempts]
     told = [reason for reason in reasons if reason]
     assert len(told) == 8 - CALM
+    assert [event.proof for event in world.sink.of(ev.ShotExposed)] == ["samples"] * CALM + ["opening"] * (8 - CALM)
     assert all(
         reason.startswith("pitch off by +0.1") and reason.endswith("while the shutter was closed") for reason in told
     )
+
+
+def test_noise_that_takes_single_samples_out_of_tolerance_is_told_as_what_it_is() -> None:
+    """The record has the errors of the curve that proves the pose, and says that it does."""
+
+    def prepare(world: World) -> None:
+        gusts(world, pitch_deg=0.0, span_s=BEFORE, stamps_s=0.0)
+        world.gimbal.rate_hz, world.gimbal.noise_deg = 100.0, 0.02
+        world.gimbal.drift = lambda at_s: (0.0, 0.062 if len(world.camera.photos) > CALM else 0.0, 0.0)
+
+    world = flown(prepare)
+    proofs: dict[str, int] = {}
+    for event in world.sink.of(ev.ShotExposed):
+        if not event.pointing_ok:
+            assert event.proof == ""
+            continue
+        assert event.errors is not None
+        assert abs(event.errors.pitch_deg) <= TOLERANCE.pitch_deg
+        proofs[event.proof] = proofs.get(event.proof, 0) + 1
+        assert ("prove the pose" in event.reason) is (event.proof == "curve")
+    assert proofs["samples"] >= CALM
+    assert proofs["curve"] >= 1
 
 
 def test_a_shutter_that_turns_out_irregular_costs_what_was_accepted_by_its_stamps() -> None:
@@ -94,3 +117,18 @@ def test_otherwise_the_photo_is_taken_again(
     rejected = world.sink.of(ev.ShotRejected)
     assert [event.code for event in rejected] == ["pointing"]
     assert "pitch off by +0.1" in rejected[0].reason
+
+
+@pytest.mark.parametrize("age_s", [0.05, 0.07, 0.1, 0.13, 0.15])
+@pytest.mark.parametrize("pitch_deg", [NEAR_DEG, FAR_DEG])
+def test_a_gust_is_seen_while_the_shutter_was_open_though_reports_of_it_are_late(
+    age_s: float, pitch_deg: float
+) -> None:
+    """Between the age at which reports are known to be old and none: they show the exposure when it is over."""
+
+    def prepare(world: World) -> None:
+        gusts(world, pitch_deg=pitch_deg, span_s=DURING, stamps_s=0.0)
+        world.gimbal.report_age_s = age_s
+
+    world = flown(prepare)
+    assert [event.code for event in world.sink.of(ev.ShotRejected)] == ["pointing"]

@@ -19,7 +19,7 @@ SHOT = Shot(index=0, row=0, pitch_deg=-40.0, yaw_deg=90.0)
 class Slew:
     """Readings of a slew from the horizon to the shot, and then to a pose of another station, pitch 5."""
 
-    late_s, holds = 0.0, False
+    late_s, holds, interval_s = 0.0, False, 0.02
 
     def since(self, since_s: float) -> list[Reading]:
         times = [0.02 * i for i in range(-5, 200)]

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from panoexec.mission.pointing.fitted_pose import BESIDE_S, fits
+from panoexec.mission.pointing.fitted_pose import BESIDE_S, fitted
 from panoexec.mission.pointing.poses import Reading
 from panoexec.planning.geometry.pose_error import pose_error
 from panoexec.sim.config import GimbalConfig
@@ -26,7 +26,7 @@ NOISE = (0.014, -0.02, 0.009, 0.034, -0.012, 0.002, -0.024, 0.011, 0.018, -0.016
 def proven(readings: list[Reading], start_s: float = START_S, end_s: float = END_S) -> bool:
     rotations = np.stack([reading.rotation for reading in readings if reading.rotation is not None])
     errors = pose_error(TARGET.pitch_deg, TARGET.yaw_deg, rotations)
-    return fits(readings, errors, TOLERANCE, start_s=start_s, end_s=end_s)
+    return fitted(readings, errors, TOLERANCE, start_s=start_s, end_s=end_s) is not None
 
 
 def pitching(error_deg: Callable[[float], float]) -> list[Reading]:
@@ -81,7 +81,7 @@ def test_no_number_proves_nothing() -> None:
     rotations = np.stack([r.rotation for r in readings if r.rotation is not None])
     errors = pose_error(TARGET.pitch_deg, TARGET.yaw_deg, rotations)
     unknown = replace(errors, roll_deg=np.full(len(readings), np.nan))
-    assert not fits(readings, unknown, TOLERANCE, start_s=START_S, end_s=END_S)
+    assert fitted(readings, unknown, TOLERANCE, start_s=START_S, end_s=END_S) is None
 
 
 def test_few_readings_or_none_beside_the_exposure_prove_nothing() -> None:
