@@ -18,6 +18,7 @@ from panoexec.mission.exposure_judge import ExposureJudge
 from panoexec.mission.pointing.echo import EchoWatch
 from panoexec.mission.pointing.heading import HeadingController
 from panoexec.mission.pointing.poses import PoseReader, read_pose, to_north
+from panoexec.mission.pointing.rate_bias import RateBias
 from panoexec.mission.pointing.tolerance_gate import (
     SettleLimits,
     SettleTracker,
@@ -77,6 +78,7 @@ class Shooter:
     lag: ShutterLag = field(init=False)
     slews: SlewWatch = field(init=False)
     judge: ExposureJudge = field(init=False)
+    _rate_bias: RateBias = field(default_factory=RateBias, init=False)
     _ready_s: float = field(default=-math.inf, init=False)
     _pointed: tuple[float, float] | None = field(default=None, init=False)
     _warned_interval_s: float = field(default=0.0, init=False)
@@ -135,7 +137,8 @@ class Shooter:
             return Settled(commanded_s=commanded_s, settled_s=self.clock.monotonic())
         limits = self._settle_limits()
         target = self.judge.target(shot)
-        tracker = SettleTracker(target=target, limits=limits)
+        self._rate_bias.interrupt()
+        tracker = SettleTracker(target=target, limits=limits, bias=self._rate_bias)
         bound_s = expected_s + self.settings.settle_s + patience_s
         wait = SettleWait(
             poses=self.poses,

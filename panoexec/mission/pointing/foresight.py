@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
 
 from panoexec.angles import FloatArray
+from panoexec.mission.pointing.rate_bias import RateBias, Triple
 from panoexec.mission.pointing.unseen_motion import slope
 from panoexec.planning.geometry.pose_error import PoseError
 from panoexec.planning.model import Tolerance
@@ -30,14 +31,13 @@ RATE_SPAN_S: Final = 0.02
 """The pose must stay inside for so long before and after the moment that is foreseen by rates."""
 CALM_PATIENCE_S: Final = 0.5
 """How long a calm moment is waited for by rates: where it does not come, they are too rough to foresee anything."""
+REST_PATIENCE_S: Final = 1.0
+"""How long a pose is waited for that is farther inside: one that rests near the edge comes no nearer."""
 STILL_DEG_S: Final = 0.1
 """Rates of a gimbal at rest, with the noise of its gyroscopes."""
 _LEAST_READINGS: Final = 3
 _MEAN_READINGS: Final = 4
 _AXES: Final = ("pitch", "roll", "yaw")
-
-Triple: TypeAlias = tuple[float, float, float]
-"""Of pitch, roll and yaw."""
 
 
 class Foresight:
@@ -46,11 +46,13 @@ class Foresight:
     Args:
         tolerance: of each axis.
         span_s: the speed is that of the readings of so long; 0: none are kept.
+        bias: of the rates, which is taken off.
     """
 
-    def __init__(self, tolerance: Tolerance, span_s: float) -> None:
+    def __init__(self, tolerance: Tolerance, span_s: float, bias: RateBias | None = None) -> None:
         self._limits = np.array([tolerance.pitch_deg, tolerance.roll_deg, tolerance.yaw_deg])
         self._span_s = span_s
+        self._bias = bias or RateBias()
         self._track: deque[tuple[float, Triple, Triple]] = deque()
         self._waiting_since_s = math.nan
 
@@ -82,15 +84,18 @@ class Foresight:
         """Whether a gust is about to take the pose out of the tolerance, in so many seconds.
 
         A pose whose rates have been within `STILL_DEG_S` is in no gust, and needs no more room than by its speed; nor
-        is a calm moment waited for longer than `CALM_PATIENCE_S`.
+        is a calm moment waited for longer than `CALM_PATIENCE_S`, nor a pose that is farther inside for longer than
+        `REST_PATIENCE_S`: then all of the tolerance counts.
         """
         _, errors, rates = self._arrays()
         newest_s = self._track[-1][0]
         if math.isnan(self._waiting_since_s):
             self._waiting_since_s = newest_s
         told = ~np.isnan(rates).any(axis=0)
-        if not told.any() or len(errors) < _LEAST_READINGS or newest_s - self._waiting_since_s > CALM_PATIENCE_S:
-            return self.leaving(ahead_s, SPEED_SHARE) != ""
+        waited_s = newest_s - self._waiting_since_s
+        if not told.any() or len(errors) < _LEAST_READINGS or waited_s > CALM_PATIENCE_S:
+            return self.leaving(ahead_s, SPEED_SHARE if waited_s <= REST_PATIENCE_S else 1.0) != ""
+        rates = rates - np.array(self._bias.rates_deg_s)
         mean_deg = errors[-_MEAN_READINGS:].mean(axis=0)
         now_deg_s = np.where(told, rates[-1], 0.0)
         moving = told & (np.abs(rates) > STILL_DEG_S).any(axis=0)

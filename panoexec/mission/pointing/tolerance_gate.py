@@ -24,6 +24,7 @@ from panoexec.angles import (
 from panoexec.mission.log.events import AxisErrors, MeasuredPose
 from panoexec.mission.pointing.foresight import Foresight, axis_errors
 from panoexec.mission.pointing.poses import Reading, mean_pose
+from panoexec.mission.pointing.rate_bias import RateBias
 from panoexec.mission.pointing.unseen_motion import DENSE_GAP_S, unseen_error
 from panoexec.planning.geometry.pose_error import PoseError, pose_error
 from panoexec.planning.model import Tolerance
@@ -99,7 +100,7 @@ class SettleTracker:
     that encoder noise does not look like motion.
     """
 
-    def __init__(self, *, target: Target, limits: SettleLimits) -> None:
+    def __init__(self, *, target: Target, limits: SettleLimits, bias: RateBias | None = None) -> None:
         self._target = target
         self._limits = limits
         self._inside: deque[Reading] = deque()
@@ -107,7 +108,8 @@ class SettleTracker:
         self._newest = math.nan
         self._last: PoseError | None = None
         span_s = FORESEEN_FROM_S if limits.foresee_s else GUST_FROM_S if limits.gust_s else 0.0
-        self._foresight = Foresight(target.tolerance, span_s)
+        self._bias = bias or RateBias()
+        self._foresight = Foresight(target.tolerance, span_s, self._bias)
         self._leaving_s = -math.inf
         self._held = False
         self._run_s = limits.settle_s  # how long the current run of good readings must be
@@ -168,11 +170,17 @@ class SettleTracker:
         for reading in readings:
             if reading.rotation is None:
                 self._foresight.clear()
+                self._bias.interrupt()
                 self._take(reading, inside=False)
                 continue
+            off, is_inside = next(axes), next(inside)
             if self._foresight.keeps:
-                self._foresight.add(reading.time_s, next(axes), reading.axis_rates_deg_s)
-            self._take(reading, inside=next(inside))
+                self._foresight.add(reading.time_s, off, reading.axis_rates_deg_s)
+            if is_inside:
+                self._bias.note(reading.time_s, off, reading.axis_rates_deg_s)
+            else:
+                self._bias.interrupt()
+            self._take(reading, inside=is_inside)
         if readings:
             self._last = None if errors is None or readings[-1].rotation is None else errors[-1]
 

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
+import random
+from dataclasses import replace
 
 import pytest
 
-from panoexec.mission.pointing.foresight import CALM_PATIENCE_S, Foresight
+from panoexec.mission.pointing.foresight import CALM_PATIENCE_S, REST_PATIENCE_S, Foresight
+from panoexec.mission.pointing.rate_bias import RateBias
+from panoexec.mission.pointing.tolerance_gate import SettleTracker
 from panoexec.planning.model import Tolerance
 from panoexec.sim.config import GimbalConfig
 from panoexec.sim.physics.gimbal import GimbalPhysics
+from tests.unit.mission.pointing.readings import LIMITS, TARGET, reading_at
 
 TOLERANCE = Tolerance(pitch_deg=0.1, roll_deg=0.1, yaw_deg=0.5)
 AHEAD_S = 0.06
@@ -74,6 +79,49 @@ def test_gyroscopes_that_never_get_calm_hold_no_trigger_for_long() -> None:
         foresight.add(number * INTERVAL_S, (0.01, 0.0, 0.0), (6.0 * (-1) ** number, 0.0, 0.0))
         refused += foresight.is_gusty(AHEAD_S)
     assert refused == pytest.approx(CALM_PATIENCE_S / INTERVAL_S, abs=2)
+
+
+@pytest.mark.parametrize("told", [True, False], ids=["rates", "no rates"])
+def test_a_pose_that_rests_near_the_edge_is_shot_after_a_while(told: bool) -> None:
+    """It comes no nearer: it would be waited for until its timeout, at every attempt."""
+    foresight, refused = Foresight(TOLERANCE, 0.1), 0
+    for number in range(100):
+        rates = (0.0, 0.0, 0.0) if told else UNKNOWN
+        foresight.add(number * INTERVAL_S, (0.09, 0.0, 0.0), rates)
+        refused += foresight.is_gusty(AHEAD_S)
+    assert refused == pytest.approx(REST_PATIENCE_S / INTERVAL_S, abs=2)
+    for number in range(100, 110):
+        foresight.add(number * INTERVAL_S, (0.101, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert foresight.is_gusty(AHEAD_S)
+
+
+@pytest.mark.parametrize("bias_deg_s", [0.0, 0.15, -0.5, 2.0])
+def test_a_bias_of_the_gyroscopes_costs_no_time_once_it_is_known(bias_deg_s: float) -> None:
+    """Poses of half a second beside each other, in which the gimbal rests within encoder noise."""
+    bias, rng, waited = RateBias(), random.Random(4), []
+    limits = replace(LIMITS, gust_s=AHEAD_S, max_rate_deg_s=5.0)
+    for pose in range(20):
+        tracker = SettleTracker(target=TARGET, limits=limits, bias=bias)
+        waited.append(0)
+        for number in range(40):
+            now_s = 3.0 * pose + number * INTERVAL_S
+            off_deg = 5.0 if number < 5 else 0.03 + rng.gauss(0.0, 0.01)
+            rates = (bias_deg_s + rng.gauss(0.0, 0.03), rng.gauss(0.0, 0.03), rng.gauss(0.0, 0.03))
+            tracker.add(replace(reading_at(now_s, pitch=off_deg), axis_rates_deg_s=rates))
+            if tracker.is_settled(now_s):
+                if tracker.is_calm(now_s):
+                    break
+                waited[-1] += 1
+    assert sum(waited[6:]) <= 3
+    assert abs(bias.rates_deg_s[0] - bias_deg_s) < 0.05
+
+
+def test_a_motion_is_no_bias() -> None:
+    """Rates that the angles show as well are a motion, however long it lasts."""
+    bias = RateBias()
+    for number in range(100):
+        bias.note(number * INTERVAL_S, (0.5 * number * INTERVAL_S, 0.0, 0.0), (0.5, 0.0, math.nan))
+    assert bias.rates_deg_s == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
 
 
 def test_in_gusts_fewer_exposures_are_out_than_by_speed() -> None:
