@@ -111,10 +111,10 @@ class ExposureJudge:
         opened = self.lag.opening(found, capture, self.settings.exposure_s)
         if opened is None:
             return whole, set()
-        opening = opened[0], opened[1] + self.slews.fresh_age_s  # reports show the pose so much later
         dated = window(found, capture.commanded_s, self.settings)
         near = self.target(shot, tolerance=_wider(self.settings.tolerance))
-        age_s = self.slews.report_age_s
+        age_s = self.slews.report_age_s  # of old reports, which `judge` waits for
+        opening = opened[0], opened[1] + (0.0 if age_s else self.slews.fresh_age_s)
         near_ok = self._judge(near, min(start_s, dated[0]), max(end_s, dated[1]) + age_s).ok
         open_ = await self.judge(shot, *opening)
         if near_ok and open_.ok:

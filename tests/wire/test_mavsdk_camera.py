@@ -240,6 +240,7 @@ async def test_the_clocks_stay_bounded_although_other_stamps_are_fresh(
 ) -> None:
     """MAVSDK asks the camera all the time: such stamps are no answers to us, and prove no round trip."""
     monkeypatch.setattr(camera_reports, "_BOUND_S", 0.05)
+    monkeypatch.setattr(camera_reports, "_AFTER_REPORT_S", 0.02)
     monkeypatch.setattr(camera_reports, "_SPREAD_S", ())
     eye.answers_first = answers_first
     await camera._reports.relate()

@@ -35,6 +35,8 @@ _SYNCHRONISE_S: Final = 4.0
 """A stamp of the camera's clock that is older than this (mission seconds) is asked for anew at the next photo."""
 _BOUND_S: Final = 1.0
 """After a report, a round trip is made if the last one is older: other stamps bound nothing."""
+_AFTER_REPORT_S: Final = 0.25
+"""It is made so much later: what a camera sends by itself after a photo has arrived."""
 
 _log = structlog.get_logger(__name__)
 
@@ -112,7 +114,7 @@ class CameraReports:
         if not self.stamps.trips or (self._bounding is not None and not self._bounding.done()):
             return  # nothing is bounded, or it is asked for
         if self.target != AUTOPILOT and self._link.clock.monotonic() - self._answered_s > _BOUND_S:
-            self._bounding = asyncio.create_task(self._make_trips((0.0,)), name="camera clock")
+            self._bounding = asyncio.create_task(self._make_trips((_AFTER_REPORT_S,)), name="camera clock")
 
     async def _make_trips(self, pauses_s: Sequence[float]) -> None:
         for pause_s in pauses_s:
