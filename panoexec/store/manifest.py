@@ -48,8 +48,7 @@ CONVENTIONS = {
     "pitch_deg": "positive up, -90 is the nadir",
     "yaw_deg": "clockwise seen from above; 0 is the plan's reference, which is reference.yaw_north_deg from true north",
     "roll_deg": "positive when the right of the image goes down",
-    "error_deg": "measured minus target, the worst of what `proof` is of, else of the exposure; across, along,"
-    " rotation: displacement in the image",
+    "error_deg": "measured minus target, the worst of the exposure; across, along, rotation: displacement in the image",
 }
 
 

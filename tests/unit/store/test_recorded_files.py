@@ -188,6 +188,7 @@ def test_the_manifest_can_be_written_anew_from_plan_and_journal(mission: Mission
         for part in (shot, *shot["attempts"]):
             assert part.pop("content")["verdict"] == "unchecked"
         assert shot.pop("refined") is None
+    assert {attempt.pop("proof") for shot in written["shots"] for attempt in shot["attempts"]} == {""}
     orders = [attempt.pop("seq") for shot in written["shots"] for attempt in shot["attempts"]]
     assert min(orders) > 0
     assert len(set(orders)) == len(orders)
