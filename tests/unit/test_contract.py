@@ -106,7 +106,7 @@ def test_the_mission_directory() -> None:
     recorded |= {"digest": "", "journal": {}}  # an earlier version wrote it
     shot = recorded["shots"][0]
     shot |= {"sha256": None, "bridge": None}
-    shot["attempts"][0] |= {"seq": 0, "sha256": None}
+    shot["attempts"][0] |= {"seq": 0, "sha256": None, "proof": ""}
     keys = {
         *recorded,
         "gimbal",
