@@ -95,5 +95,5 @@ def _field(name: str, value: object) -> bytes:
 
 
 def _short(value: object) -> str:
-    text = " ".join(str(value).split())
+    text = {True: "yes", False: "no"}[value] if isinstance(value, bool) else " ".join(str(value).split())
     return text if len(text) <= 80 else text[:79] + "…"

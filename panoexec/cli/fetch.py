@@ -18,7 +18,6 @@ Examples:
 from __future__ import annotations
 
 import argparse
-import getpass
 import os
 import re
 import shutil
@@ -31,6 +30,7 @@ from typing import Any
 
 from panoexec.cli.fetch_http import Page, password_of
 from panoexec.cli.output import counted, note, print_json
+from panoexec.cli.streams import ask_password
 from panoexec.errors import DeviceError, PanoexecError, UsageError
 from panoexec.files import write_atomically_with
 from panoexec.inputs.service_sections import StorageSection
@@ -89,7 +89,7 @@ def _from_page(args: argparse.Namespace) -> Path:
     if args.user:
         if args.password_file is None and not sys.stdin.isatty():
             raise UsageError("--user needs --password-file where nobody can be asked")
-        page.log_in(args.user, password_of(args.password_file) if args.password_file else getpass.getpass())
+        page.log_in(args.user, password_of(args.password_file) if args.password_file else ask_password("Password: "))
     name = args.mission or _newest(page.missions(), f"--url {args.url}")
     return page.fetch(name, to, note)
 

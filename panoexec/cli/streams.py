@@ -1,13 +1,16 @@
-"""Standard output and error that never cost a result: any encoding, and a reader that has gone."""
+"""Standard streams that never cost a result: any encoding, a reader that has gone, a question without an answer."""
 
 from __future__ import annotations
 
 import codecs
+import getpass
 import os
 import sys
 from contextlib import suppress
 from io import TextIOWrapper
 from typing import Final, TextIO
+
+from panoexec.errors import UsageError
 
 _HANDLER: Final = "panoexec.spell"
 _SPELLED: Final = {
@@ -58,3 +61,15 @@ def discard_output() -> None:
             continue
         with suppress(OSError, ValueError):
             os.dup2(nowhere, stream.fileno())
+
+
+def ask_password(prompt: str) -> str:
+    """What is typed at a terminal, unseen.
+
+    Raises:
+        UsageError: nothing was (Ctrl-D, or a terminal that has gone).
+    """
+    try:
+        return getpass.getpass(prompt)
+    except EOFError:
+        raise UsageError("no password was given: nothing was changed") from None

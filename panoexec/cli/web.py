@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import getpass
 import os
 import signal
 import sys
@@ -27,6 +26,7 @@ import panoexec.cli.lean  # noqa: F401  (must be imported first)
 from panoexec.cli.broker_options import add_broker_arguments, broker_of
 from panoexec.cli.one_heap import use_one_heap
 from panoexec.cli.output import note
+from panoexec.cli.streams import ask_password
 from panoexec.daemon.sdnotify import SystemdNotifier
 from panoexec.errors import UsageError
 from panoexec.inputs.config import load_config
@@ -124,8 +124,8 @@ def _password(name: str) -> str:
     """Asked for twice on a terminal, else the first line of standard input."""
     if not sys.stdin.isatty():
         return sys.stdin.readline().rstrip("\r\n")
-    first = getpass.getpass(f"password of {name}: ")
-    if getpass.getpass("again: ") != first:
+    first = ask_password(f"password of {name}: ")
+    if ask_password("again: ") != first:
         raise UsageError("the passwords differ: nothing was changed")
     return first
 

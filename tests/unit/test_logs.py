@@ -69,7 +69,7 @@ def test_the_journal_gets_a_sentence_and_fields(
         monkeypatch.setenv("JOURNAL_STREAM", f"{there.st_dev}:{there.st_ino}")
         configure_logs("info", "auto", stderr)
         log = structlog.get_logger("panoexec.x")
-        log.warning("request failed", command="pause", error="none\nis under way", unit=3)
+        log.warning("request failed", command="pause", error="none\nis under way", unit=3, camera=False)
         first = fields_of(listener.recv(65536))
         try:
             int("broken")
@@ -82,7 +82,7 @@ def test_the_journal_gets_a_sentence_and_fields(
         (tmp_path / "socket").unlink()
         log.info("not lost")
         logging.getLogger().handlers[0].close()
-    assert first["MESSAGE"] == "request failed: none\nis under way (command pause, unit 3)"
+    assert first["MESSAGE"] == "request failed: none\nis under way (command pause, unit 3, camera no)"
     assert (first["PRIORITY"], first["SYSLOG_IDENTIFIER"]) == ("4", "panoexec")
     assert (first["PANO_UNIT"], first["PANO_LOGGER"]) == ("3", "panoexec.x")
     assert "UNIT" not in first, "journald would take it for its own"

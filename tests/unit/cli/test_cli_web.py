@@ -51,3 +51,17 @@ def test_what_cannot_be_is_one_line(options: tuple[str, ...], told: str, capsys:
     err = capsys.readouterr().err
     assert told in err
     assert len(err.splitlines()) == 1
+
+
+def test_a_question_without_an_answer_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def ended(prompt: str) -> str:
+        raise EOFError(prompt)  # as of Ctrl-D
+
+    monkeypatch.setattr("getpass.getpass", ended)
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
+    assert run(["web", "--users-file", str(tmp_path / "web-users"), "--add-user", "anna"]) == 2
+    assert capsys.readouterr().err == "panoexec: no password was given: nothing was changed\n"
+    assert list(tmp_path.iterdir()) == []
