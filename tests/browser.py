@@ -129,7 +129,11 @@ class Browser:
             self.events.append(self._message(deadline, method))
 
     def click(self, selector: str) -> None:
-        """Click the middle of an element, as a mouse does: what lies above it gets the click."""
+        """Click the middle of an element, as a mouse does: what lies above it gets the click.
+
+        A page that heard nothing for a while, on a busy machine, obeys no click: that is waited for.
+        """
+        self.until("document.documentElement.dataset.lost !== 'yes'")
         x, y = self.middle(selector)
         self.mouse("mousePressed", x, y, buttons=1)
         self.mouse("mouseReleased", x, y)
