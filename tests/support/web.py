@@ -118,7 +118,7 @@ class FakeBrowser:
 
     async def until(self, kind: str, condition: Callable[[dict[str, Any]], bool] = lambda _: True) -> dict[str, Any]:
         """The first message of a kind for which the condition holds."""
-        await eventually(lambda: any(condition(one) for one in self.of(kind)))
+        await eventually(lambda: any(condition(one) for one in self.of(kind)), 120)
         return next(one for one in self.of(kind) if condition(one))
 
     async def command(self, number: str, command: str, vehicle: str = "drone", **fields: Any) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from tests.system.daemon import SPEEDUP, serving
 from tests.wire.broker import needs_mosquitto, running_broker
 
 pytestmark = needs_mosquitto
-BAND: dict[str, Any] = {"elevation_deg": [-40, 0], "azimuth_deg": [-60, 60], "name": "chapel, west"}
+BAND: dict[str, Any] = {"elevation_deg": [-40, 0], "name": "chapel, west"}
 BAND_OF_PLAN = {name: value for name, value in BAND.items() if name != "name"}
 
 
