@@ -81,8 +81,8 @@ async def test_a_running_daemon_examines_itself_and_a_mission_has_priority(tmp_p
             await ground.until(lambda: ground.state["state"] == "complete")
             assert ground.misfits == []
 
-            code, out, _ = await panoexec("send", "doctor", "--port", str(broker.port))
-            assert code == 0
+            code, out, _ = await panoexec("send", "doctor", "--port", str(broker.port), "--timeout", "300")
+            assert code == 0, out
             assert "link: examined by" in out
 
             # a daemon that does not answer keeps its link
