@@ -38,7 +38,7 @@ from panoexec.planning.search.row_search import Label, searches
 from panoexec.planning.search.siblings import siblings
 from panoexec.planning.search.thinning import drop_redundant_shots, trim_band
 from panoexec.planning.search.uneven_rows import uneven_rows
-from panoexec.planning.search.variants import Variant, variants
+from panoexec.planning.search.variants import Variant, can_tie, variants
 
 _LABELS_TRIED = 3
 """Number of solutions of one total that are certified before a larger total is tried."""
@@ -222,13 +222,19 @@ class _Planner:
     def _search(self, constraints: Constraints) -> int:
         """Search with every set of demands, the weakest first, until a plan is certified; return the last group."""
         group, closes, self._spent = 0, False, 0
+        left: Variant | None = None
         for variant in variants(self._camera, constraints):
+            if variant.group == 0 and not can_tie(self._camera, constraints, variant.demands):
+                left = variant  # this search alone may use up the budget
+                continue
             if (self._best_images is not None and variant.group > group) or self._many_certified:
                 break
             group = variant.group
             closes = self._try_variant(constraints, variant, within_band=group >= _ONLY_FOR_TIES) or closes
             if not closes and group == 1:
                 break  # all other variants have stronger demands
+        if left is not None and self._best is None:
+            self._try_variant(constraints, left)
         if closes and self._best_images is None and not self._many_certified:
             # rows beyond the band's ends, which only tie others, where nothing else is certified
             for variant in variants(self._camera, constraints):

@@ -23,6 +23,9 @@ _RUNGS = (0.3, 0.6, 0.8, 0.92, 0.99)
 """Fractions of the estimated margin that are tried."""
 
 _MOST_MARGIN = 0.4
+_LEFT = 5e-4
+"""Margin that a phase must have to be preferred for what it ties."""
+
 _LOWEST_NODES, _CENTRED_NODES = 33, 400
 _FLATTEST_END_DEG = 89.9
 """Beyond this elevation the end of a band is a pole: rows cannot extend beyond it."""
@@ -164,12 +167,21 @@ def _reaches(rules: RowConstraints, count: int, pitch_deg: FloatArray, extra: Fl
 
 
 def _phases(rules: RowConstraints, pitch_deg: FloatArray, counts: tuple[int, ...]) -> tuple[float, ...]:
-    """The best of the phases of each row relative to the row below it."""
+    """The best of the phases of each row relative to the row below it.
+
+    In plans of very many images, adjacent rows of equally many share one phase all round. With the one that mostly is
+    the best, half a spacing, no image is sure to share enough with any of the next row, where errors of yaw are large:
+    such rows face each other instead, as far as they can.
+    """
     phases = [0.0]
     if len(counts) > 1:
         n = np.array(counts)
         pairs = rules.pairs(pitch_deg[:-1], n[:-1], n[1:]).at(np.arange(len(n) - 1), pitch_deg[1:])
-        best = np.argmax(rules.margin.margins(pairs, FINE).round(9), axis=1)
+        margins = rules.margin.margins(pairs, FINE).round(9)
+        best = np.argmax(margins, axis=1)
+        if rules.many and not rules.demands.neighbours.tolerance.is_zero:
+            enough = margins >= _LEFT
+            best = np.where((n[:-1] == n[1:]) & enough.any(axis=1), np.argmax(enough, axis=1), best)
         recurs = 360.0 / np.lcm(n[:-1], n[1:])
         for i, choice in enumerate(best.tolist()):
             phases.append((phases[-1] + PHASES[choice] * float(recurs[i])) % (360.0 / counts[i + 1]))

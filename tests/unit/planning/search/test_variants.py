@@ -6,6 +6,7 @@ import itertools
 import math
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +15,11 @@ from panoexec.angles import rotation
 from panoexec.optics import Camera
 from panoexec.planning.certificate.adjacency import MUTUAL_OVERLAP
 from panoexec.planning.geometry.overlap import pairwise_overlap, union_overlap
-from panoexec.planning.model import NO_TOLERANCE, Band, Constraints, Tolerance
+from panoexec.planning.model import NO_TOLERANCE, Band, Certificate, Constraints, Tolerance
+from panoexec.planning.search import planner
+from panoexec.planning.search.proposal import verdict
 from panoexec.planning.search.row_constraints import Demands, Loss
-from panoexec.planning.search.variants import Variant, variants, worst_loss
+from panoexec.planning.search.variants import Variant, can_tie, variants, worst_loss
 from tests.unit.planning.brute import PAPER, full_circle, with_errors
 
 WIDE = Camera.from_fov(60.0, 47.0)
@@ -179,3 +182,53 @@ class TestWorstLoss:
         assert (long > 1.5 * wide).all()
         # both images are off by as much as they may be, towards each other's far side
         assert wide == pytest.approx(2 * 0.6 / WIDE.vfov_deg, rel=0.35)
+
+
+TELE = Camera.from_fov(5.153, 3.437)
+POINTING = Tolerance(pitch_deg=0.1, roll_deg=0.1, yaw_deg=0.7)
+
+
+class TestLongLenses:
+    def test_the_first_demands_are_not_searched_where_their_rows_cannot_tie(self) -> None:
+        for overlap, tolerance, ties in ((0.15, POINTING, False), (0.3, POINTING, True), (0.15, NO_TOLERANCE, True)):
+            constraints = asked(full_circle(-90.0, 90.0), overlap=(overlap, overlap), tolerance=tolerance)
+            first, second = itertools.islice(variants(TELE, constraints), 2)
+            assert can_tie(TELE, constraints, first.demands) == ties
+            assert can_tie(TELE, constraints, second.demands)
+
+    @pytest.mark.parametrize("pitch", [-70.0, -45.0, -20.0, 0.0])
+    def test_images_of_adjacent_rows_that_face_each_other_have_an_edge(self, pitch: float) -> None:
+        constraints = asked(full_circle(-90.0, 90.0), overlap=(0.15, 0.15), tolerance=POINTING)
+        second = list(itertools.islice(variants(TELE, constraints), 2))[1]
+        assert second.loss is not None
+        needed = max(0.15, second.demands.worst_v + float(second.loss(np.array([pitch]))[0]))
+        assert needed < 0.2
+        # the highest row with which an image shares so much
+        for step in np.linspace(1.0, 0.5, 101) * TELE.vfov_deg:
+            image, row = rows_about(TELE, pitch, float(step))
+            if union_overlap(TELE, image, row[None])[0] >= needed:
+                break
+        facing = np.concatenate([image, rotation([0.0], pitch + step)])
+        rng = np.random.default_rng(4)
+        taken = np.array([with_errors(facing, POINTING, rng, extreme=True) for _ in range(200)])
+        assert pairwise_overlap(TELE, taken[:, 0], taken[:, 1]).min() >= MUTUAL_OVERLAP
+        assert pairwise_overlap(TELE, taken[:, 1], taken[:, 0]).min() >= MUTUAL_OVERLAP
+
+    def test_rows_of_equally_many_images_are_tied_by_the_first_plan_that_is_proposed(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        judged: list[Certificate] = []
+
+        def judge(*asked: Any, **options: Any) -> Certificate:
+            judged.append(verdict(*asked, **options))
+            return judged[-1]
+
+        monkeypatch.setattr(planner, "verdict", judge)
+        monkeypatch.setattr(planner, "_MANY_IMAGES", 1)  # no search for fewer images afterwards
+        constraints = asked(full_circle(-6.0, 6.0), overlap=(0.15, 0.15), tolerance=POINTING)
+        plan = planner.plan_certified(TELE, constraints)
+        counts = [len([shot for shot in plan.shots if shot.row == row]) for row in {s.row for s in plan.shots}]
+        assert len(counts) > len(set(counts))
+        assert judged[0].certified
+        assert plan.certificate is not None
+        assert plan.certificate.two_edge_connected
