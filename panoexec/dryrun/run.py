@@ -288,6 +288,8 @@ async def _fly(  # noqa: PLR0917  (private; what the two public ones share)
                 on_mission(session.mission)
                 before, began_utc_s = _pose_now(devices, 0.0), clock.time()
                 record = await session.run()
+                # metering the exposure points the gimbal before the first shot, at one of the shots
+                before = None if lock.exposure == "first" else before
                 start = None if before is None else (before[0], before[1] - record.reference_yaw_north_deg)
                 duration_s, certificate = session.mission.shooting_s, session.mission.certificate
                 turns, turning = session.mission.turns, session.mission.turning

@@ -88,6 +88,7 @@ def test_every_kind_is_flown() -> None:
 def test_a_dry_run_locks_the_settings_of_a_camera_with_a_definition(tmp_path: Path) -> None:
     options = ("--camera", "dji-x5s-15mm", "--elevation", "-30", "20", "--azimuth", "-50", "50", "--image-width", "160")
     summary = flown(*options, "--camera-kind", "definition", "--speedup", "10", "--output", str(tmp_path))
+    assert summary["limit_ratio"] >= 0.99, "the gimbal is at a shot already when shooting begins"
     manifest = manifest_of(summary)
     photos = [photo for attempt in accepted(manifest) for photo in attempt["photos"]]
     images = Path(summary["directory"]) / "images"
