@@ -359,6 +359,15 @@ def test_missions_are_listed_stitched_and_deleted(page: Browser, server: PageSer
     assert_sound(page)
 
 
+def test_a_report_that_is_written_after_the_mission_is_complete_appears(page: Browser, server: PageServer) -> None:
+    server.missions = [stored(MISSION, report=None)]
+    page.visit(f"{server.url}/v/drone#mission={MISSION}")
+    page.until("document.getElementById('mission-state')?.textContent === 'Complete'")
+    assert page.value("document.querySelector('iframe.report')") is None
+    server.missions = [stored(MISSION, report=f"/missions/{MISSION}/report")]
+    page.until("document.querySelector('iframe.report') !== null && document.getElementById('open-report') !== null")
+
+
 def test_a_fleet_is_sorted_by_who_needs_somebody(browser: Browser, server: PageServer) -> None:
     fleet = {f"drone-{k:02d}": vehicle(f"drone-{k:02d}") for k in range(50)}
     fleet["drone-30"]["state"] = state(

@@ -1,7 +1,7 @@
 /* Missions after they were flown: a library, and one mission with report, downloads, stitching. */
 import { el, isNumber, plural } from "/assets/pages/elements.js";
 import { ask, toast } from "./dialogs.js";
-import { STATES, sentence } from "./model.js";
+import { ENDED, STATES, sentence } from "./model.js";
 import { button, dateOf, redraw } from "./render.js";
 
 const size = (bytes) => (!isNumber(bytes) ? "" : bytes < 1e6 ? `${Math.max(1, Math.round(bytes / 1e3))} kB` : bytes < 1e9 ? `${Math.round(bytes / 1e6)} MB` : `${(bytes / 1e9).toFixed(1)} GB`);
@@ -75,7 +75,7 @@ export class LibraryView extends Missions {
 export class MissionView extends Missions {
   constructor(page, vehicle, id) {
     super(page, vehicle);
-    Object.assign(this, { id, gone: false });
+    Object.assign(this, { id, gone: false, looks: 0, looking: false });
     this.head = el("section", { class: "card column", "aria-label": "Mission" });
     this.report = el("section", { class: "card", "aria-label": "Report", hidden: true });
     this.node = el("div", { class: "column" }, this.head, this.report);
@@ -87,6 +87,7 @@ export class MissionView extends Missions {
     const { mission } = this, { model } = this.page, stitch = model.stitches.get(this.id) || null, lost = model.lostSince !== null, viewer = Boolean(model.hello && model.hello.role === "viewer");
     redraw(this.head, [mission, stitch, lost, viewer, this.problem, this.missions === null], () => this.headOf(mission, stitch, lost, viewer));
     const report = mission && mission.report;
+    this.awaitReport(mission);
     this.report.hidden = !report;
     redraw(this.report, [report, report && mission.shots_done, stitch && stitch.stage === "done"], () => (report ? [el("h2", {}, "Panorama and report"), el("iframe", { class: "report", src: report, title: `Report of ${nameOf(mission)}: panorama viewer, sphere, errors, certificate`, loading: "lazy" })] : []));
   }
@@ -112,6 +113,13 @@ export class MissionView extends Missions {
       stitch ? el("div", { id: "stitching", role: "status" }, isNumber(stitch.fraction) ? el("progress", { max: 1, value: stitch.fraction, "aria-label": "Stitching" }) : null,
         el("p", { class: `stage ${{ running: "run", done: "good", failed: "bad" }[stitch.stage] || ""}` }, el("b", {}, { running: "stitching", done: "stitched", failed: "not stitched" }[stitch.stage] || stitch.stage), el("span", {}, [stitch.text, stitch.who].filter(Boolean).join(" · ")))) : null,
     ];
+  }
+  /* A mission is complete before its report is written: look again, for two minutes, while it is shown. */
+  awaitReport(mission) {
+    if (!mission || mission.report || mission.remote || !ENDED.has(mission.state) || this.looking || this.looks === 60) return;
+    this.looking = true;
+    this.looks += 1;
+    setTimeout(() => { this.looking = false; if (this.node.isConnected) this.read(); }, 2000);
   }
   async remove(mission) {
     const yes = await ask({ title: "Delete the mission?", text: `${nameOf(mission)}: ${plural(mission.photos || 0, "photo")}, ${size(mission.size_bytes)}. Photos, report and panorama are removed from this computer for good.`, yes: "Delete", kind: "bad" });

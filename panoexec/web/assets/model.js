@@ -16,6 +16,7 @@ export const STANDINGS = {
   again: ["to be retaken", "warn", [6, 4]], missing: ["missing", "bad", [6, 4]], todo: ["planned", "muted", [2, 3]],
 };
 const LETTERS = { d: "done", r: "retaken", c: "current", a: "again", m: "missing", t: "todo" };
+export const ENDED = new Set(["complete", "incomplete", "aborted", "failed"]);
 const FLYING = new Set(["preflight", "capturing", "paused", "finishing"]);
 const DOUBTFUL = new Set(["geometry_only", "unreadable", "exposure", "blurred", "untied", "contradicts"]);
 
