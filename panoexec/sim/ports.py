@@ -7,7 +7,7 @@ nobody listens may even be connected to itself. The kernel never hands out the p
 
 from __future__ import annotations
 
-import contextlib
+import errno
 import random
 import socket
 from pathlib import Path
@@ -44,8 +44,13 @@ def _free(kind: socket.SocketKind) -> int:
     while True:
         # a kernel that hands out nearly all ports chooses itself
         wanted = _random.randrange(_LEAST, first) if first - _LEAST >= _FEWEST else 0
-        with socket.socket(socket.AF_INET, kind) as probe, contextlib.suppress(OSError):
-            probe.bind((_HOST, wanted))
+        with socket.socket(socket.AF_INET, kind) as probe:
+            try:
+                probe.bind((_HOST, wanted))
+            except OSError as error:
+                if error.errno == errno.EADDRINUSE:
+                    continue
+                raise
             port = int(probe.getsockname()[1])
             if (kind, port) not in _given:
                 _given.add((kind, port))

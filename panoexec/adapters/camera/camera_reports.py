@@ -143,7 +143,9 @@ class CameraReports:
     async def relate(self) -> None:
         """Relate the camera's clock to the mission's by as many round trips as are needed; before its first photo."""
         vain = 0
-        while self.stamps.trips < ENOUGH_TRIPS and vain < _VAIN_TRIPS:
+        for _ in range(ENOUGH_TRIPS + 2 * _VAIN_TRIPS):  # a clock that is stepped again and again is never related
+            if self.stamps.trips >= ENOUGH_TRIPS or vain == _VAIN_TRIPS:
+                break
             vain = 0 if await self._make_trip() else vain + 1
         if self.stamps.trips and (self._bounding is None or self._bounding.done()):
             self._bounding = asyncio.create_task(self._make_trips(_SPREAD_S), name="camera clock")

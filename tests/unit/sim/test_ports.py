@@ -38,3 +38,9 @@ def test_a_kernel_that_hands_out_nearly_all_ports_chooses_itself(
     assert ports.free_tcp_port() > 0
     monkeypatch.setattr(ports, "_RANGE", tmp_path / "none")
     assert ports.free_tcp_port() < 32_768
+
+
+def test_a_host_that_cannot_be_bound_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ports, "_HOST", "192.0.2.1")  # for documents: no machine has it
+    with pytest.raises(OSError, match="assign requested address"):
+        ports.free_udp_port()

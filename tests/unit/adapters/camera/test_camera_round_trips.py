@@ -265,3 +265,22 @@ def test_bounds_never_exclude_the_true_opening() -> None:
     print(f"{CASES} cameras, {photos} photos, {bounded} bounded, {sum(len(one[1]) for one in wrong)} wrongly")
     assert not wrong
     assert bounded > 0.2 * photos
+
+
+def test_a_clock_that_is_stepped_again_and_again_holds_up_no_mission(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each step makes the round trips before it worthless, so enough are never together."""
+    made = []
+
+    async def relates() -> None:
+        reports = CameraReports(ScriptedLink(Habits(), random.Random(1)), component=CAMERA, mib_per_image=None)  # type: ignore[arg-type]
+
+        async def trip() -> bool:
+            made.append(1)
+            assert len(made) < 100, "without end"
+            return len(made) % 2 == 1  # the next one finds a step
+
+        monkeypatch.setattr(reports, "_make_trip", trip)
+        await reports.relate()
+
+    run_virtual(relates())
+    assert len(made) > 5
