@@ -88,6 +88,8 @@ class ContentCheck:
         self._bridging = Bridging(context)
         self._checker: PictureChecker | None = None
         self._ended = self._source is None
+        self._failed = False
+        self._unchecked: tuple[int, ...] = ()
         self._attempt_of: dict[int, int] = {}
         self._told: dict[tuple[int, int], tuple[str, tuple[float, float, float] | None]] = {}
         self._retakes: Counter[int] = Counter()
@@ -106,6 +108,7 @@ class ContentCheck:
                     if not await self._examine_next(checker):
                         await asyncio.sleep(_LOOK_S)
         except PanoexecError as error:
+            self._failed = True
             _log.warning("photos are not examined", error=str(error))
             text = f"the content of photos is not checked any more: {error}"
             self._context.recorder.emit(ev.Warned(code="pictures", text=text))
@@ -114,42 +117,54 @@ class ContentCheck:
 
     async def settle(self) -> None:
         """Wait for files that are still to come, and judge all photos; afterwards, bad ones and bridges are queued."""
-        context, loop = self._context, asyncio.get_running_loop()
-        if self._ended:
-            return
-        here: list[int] = []
-        with work(context.clock):
-            self._progress_s = loop.time()
-            while context.requests.stop is None and not self._ended and not len(context.queue):
-                waits = [shot for shot in context.record.shots.values() if self._is_awaited(shot)]
-                here = [shot.shot.index for shot in waits if self._is_here(shot)]
-                patience_s = _NO_MORE_S if self._attempt_of or here else _NO_FILE_S
-                if context.requests.must_end_shooting:
-                    patience_s = _ENDING_S
-                if not waits or loop.time() - self._progress_s > patience_s:
-                    break
-                await asyncio.sleep(_LOOK_S)
+        requests, queue = self._context.requests, self._context.queue
+        with work(self._context.clock):
+            here = await self._wait_for_files()
+            more = bool(len(queue)) and not requests.must_end_shooting  # one was taken back
             checker = self._checker
-            more = bool(len(context.queue)) and not context.requests.must_end_shooting  # one was taken back
-            if context.requests.stop is not None or self._ended or more:
+            if requests.stop is not None or more:
                 return
-            if checker is None or not self._attempt_of:
-                if here:
-                    self._give_up_check(f"of {len(here)} files none could be examined in time")
-                return
-            try:
-                await self._judge(checker)
-            except PanoexecError as error:
-                _log.warning("photos are not judged", error=str(error))
-                if not self._ended:  # or it is told already
+            if self._ended:
+                self._tell_unchecked()
+            elif checker is not None and self._attempt_of:
+                try:
+                    await self._judge(checker)
+                except PanoexecError as error:
+                    _log.warning("photos are not judged", error=str(error))
                     self._give_up_check(str(error))
+            elif here:
+                self._give_up_check(f"of {here} files none could be examined in time")
+
+    async def _wait_for_files(self) -> int:
+        """Wait for files, and for their examination; returns how many are here that are not examined."""
+        context, loop, here = self._context, asyncio.get_running_loop(), 0
+        self._progress_s = loop.time()
+        while context.requests.stop is None and not self._ended and not len(context.queue):
+            waits = [shot for shot in context.record.shots.values() if self._is_awaited(shot)]
+            here = sum(map(self._is_here, waits))
+            patience_s = _NO_MORE_S if self._attempt_of or here else _NO_FILE_S
+            if context.requests.must_end_shooting:
+                patience_s = _ENDING_S
+            if not waits or loop.time() - self._progress_s > patience_s:
+                break
+            await asyncio.sleep(_LOOK_S)
+        return here
 
     def _give_up_check(self, why: str) -> None:
-        """Say that photos whose files were here are unchecked: the mission must not end as if all were good."""
-        record = self._context.record
-        self._context.recorder.emit(ev.Warned(code="pictures", text=f"the content of photos is not checked: {why}"))
-        unchecked = tuple(index for index, shot in sorted(record.shots.items()) if shot.accepted is not None)
-        self._context.recorder.emit(ev.ContentJudged(edges=(), groups=0, bridges=(), unchecked=unchecked))
+        """Say why photos whose files were here are unchecked; nothing more if a failure was told already."""
+        if not self._failed:
+            text = f"the content of photos is not checked: {why}"
+            self._context.recorder.emit(ev.Warned(code="pictures", text=text))
+        self._failed = True
+        self._tell_unchecked()
+
+    def _tell_unchecked(self) -> None:
+        """After a failure no photo counts as examined: the mission must not end as if all were good."""
+        shots = sorted(self._context.record.shots.items())
+        unchecked = tuple(index for index, shot in shots if shot.accepted is not None)
+        if self._failed and self._context.requests.stop is None and unchecked != self._unchecked:
+            self._unchecked = unchecked
+            self._context.recorder.emit(ev.ContentJudged(edges=(), groups=0, bridges=(), unchecked=unchecked))
 
     async def _judge(self, checker: PictureChecker) -> None:
         """Judge all photos; conclude if nothing was queued because of it."""

@@ -455,7 +455,10 @@ async def test_a_failed_examination_warns_and_ends_nothing(tmp_path: Path) -> No
     await mission.check.run()
     assert mission.kinds()[-1] == "warned"
     await mission.check.settle()
-    assert mission.record.content is None
+    await mission.check.settle()
+    assert mission.kinds()[-2:] == ["warned", "content_judged"]
+    assert mission.record.content is not None
+    assert mission.record.content.unchecked == (0,)
 
 
 async def test_a_refused_file_is_unreadable_or_another_shots(tmp_path: Path) -> None:
