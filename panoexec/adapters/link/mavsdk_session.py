@@ -193,6 +193,7 @@ class MavsdkSession:
         self._watched.clear()
         if not await self._calls.drain(_DRAIN_S):
             _log.warning("MAVSDK call timed out")
+        self._calls.refuse()  # one that waits for its thread on a busy machine would find MAVSDK destroyed
         made, self._instances = self._instances, []
         if not made:
             return

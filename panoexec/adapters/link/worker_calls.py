@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 
-_Job = tuple[Callable[[], Any], asyncio.AbstractEventLoop, "asyncio.Future[Any]"]
+_Job = tuple[int, Callable[[], Any], asyncio.AbstractEventLoop, "asyncio.Future[Any]"]
 
 
 class WorkerCalls:
@@ -27,6 +27,7 @@ class WorkerCalls:
         """Start the threads: `name` is their prefix, `threads` the number of calls that can block at once."""
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         self._busy = 0
+        self._refused = 0
         self._idle = asyncio.Event()
         self._idle.set()
         self._threads = [
@@ -45,7 +46,7 @@ class WorkerCalls:
         future: asyncio.Future[T] = loop.create_future()
         self._busy += 1
         self._idle.clear()
-        self._jobs.put((call, loop, future))
+        self._jobs.put((self._refused, call, loop, future))
         return future
 
     async def drain(self, timeout_s: float) -> bool:
@@ -57,6 +58,10 @@ class WorkerCalls:
             return False
         return True
 
+    def refuse(self) -> None:
+        """Start none of the calls that wait for a thread: what they use is destroyed. They fail with RuntimeError."""
+        self._refused += 1
+
     def stop(self) -> None:
         """Let the threads end after their queued calls; does not wait."""
         for _ in self._threads:
@@ -64,10 +69,10 @@ class WorkerCalls:
 
     def _work(self) -> None:
         while (job := self._jobs.get()) is not None:
-            call, loop, future = job
+            asked, call, loop, future = job
             result, error = None, None
             try:
-                result = call()
+                result = call() if asked == self._refused else _refused()
             except Exception as caught:  # noqa: BLE001 - passed to the caller
                 error = caught
             # the loop was closed meanwhile: no task waits
@@ -85,3 +90,7 @@ class WorkerCalls:
             future.set_exception(error)
         else:
             future.set_result(result)
+
+
+def _refused() -> Any:
+    raise RuntimeError("the link is closed")

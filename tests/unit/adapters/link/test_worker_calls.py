@@ -59,3 +59,26 @@ def test_a_call_that_ends_after_its_loop_is_harmless() -> None:
         thread.join(60)
         assert not thread.is_alive()
         assert thread.daemon
+
+
+async def test_a_call_that_has_not_begun_is_refused() -> None:
+    """A busy machine begins it after MAVSDK was destroyed, which would end the process."""
+    calls = WorkerCalls("test", threads=1)
+    begun, go_on = threading.Event(), threading.Event()
+    made: list[str] = []
+
+    def first() -> None:
+        begun.set()
+        go_on.wait(30)
+        made.append("first")
+
+    running = calls.submit(first)
+    waiting = calls.submit(lambda: made.append("second"))
+    assert await asyncio.to_thread(begun.wait, 30)
+    calls.refuse()
+    go_on.set()
+    await running
+    with pytest.raises(RuntimeError, match="the link is closed"):
+        await waiting
+    assert made == ["first"]
+    calls.stop()
