@@ -14,8 +14,9 @@ taken for ours: what is found there does not count.
 
 Some cameras answer before they acknowledge. Their answer proves nothing, but a second request, sent as soon as the
 first is acknowledged, is answered after that, and so certainly after the first was sent. It is taken for stamped after
-the second was sent only if answer, acknowledgement, answer, acknowledgement is all that arrived, each of the last
-times: else a message that the camera sends by itself may have taken the place of an answer that was lost.
+the second was sent only if answer, acknowledgement, answer, acknowledgement is all that arrived, this time and the last
+times, as far as there were some: else a message that the camera sends by itself may have taken the place of an answer
+that was lost.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ _LATEST_S: Final = 0.25
 _REPEATED_S: Final = 0.4
 """A request that is acknowledged later may have been repeated (MAVSDK does after 0.5 s)."""
 _REMEMBERED: Final = 9
-"""So many round trips must have been without anything unasked, or lost."""
+"""So many round trips, or as many as there were, must have been without anything unasked, or lost."""
 _SLOW_S: Final = 10.0
 """For so long after that nothing counts: requests of MAVSDK's own may have been repeated, too."""
 
