@@ -8,10 +8,12 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from panoexec.cli.output import console, counted, has_colours, minutes, note, print_facts
-from panoexec.cli.sphere_map import Mark, SphereMap, marks_of, size_for
+from panoexec.cli.sphere_map import MARKS, Mark, SphereMap, size_for
 from panoexec.dryrun.run import DryRunSummary
 from panoexec.mission.executor import Mission
 from panoexec.mission.log import events as ev
+from panoexec.mission.log.record import MissionRecord
+from panoexec.mission.log.shot_marks import mark_of
 from panoexec.mission.pointing.poses import read_pose
 from panoexec.planning.geometry.pose_error import pose_error
 from panoexec.planning.model import Plan, Shot
@@ -86,11 +88,16 @@ class MissionView:
         if self._plan is None or size is None:
             return self._progress.get_renderable()
         if self._map is None or self._map.size != size:
-            self._map, self._drawn = SphereMap(self._plan.camera, width=size[0], height=size[1]), None
+            self._map, self._drawn = self._sphere(size), None
         if self._drawn is None or self._drawn[0] is not self._marks:
             marks, north = self._marks, self._mission is not None and self._mission.record.reference == "north"
             self._drawn = marks, self._map.text(self._shots, marks, colours=has_colours(self._out), north=north)
         return Group(self._drawn[1], self._progress.get_renderable())
+
+    def _sphere(self, size: tuple[int, int]) -> SphereMap:
+        assert self._plan is not None
+        camera = self._plan.camera
+        return SphereMap(camera.half_width, camera.half_height, width=size[0], height=size[1])
 
     def _look(self, mission: Mission) -> None:
         """Copy the marks from the mission's record, which changes only on the event loop."""
@@ -154,6 +161,11 @@ class MissionView:
             f"{minutes(left)} left" if math.isfinite(left) else "",
         ]
         return " · ".join(part for part in parts if part)
+
+
+def marks_of(record: MissionRecord) -> dict[int, Mark]:
+    """The marks of all shots of a mission, by index."""
+    return {index: MARKS[mark_of(shot, current=index == record.current)] for index, shot in record.shots.items()}
 
 
 def show_summary(summary: DryRunSummary) -> None:

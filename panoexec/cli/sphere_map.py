@@ -7,21 +7,13 @@ direction covered by one image is not shown as a gap because another image is mi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from enum import IntEnum
 from itertools import groupby
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from panoexec.angles import rotation
-from panoexec.mission.log import shot_marks
-from panoexec.mission.log.record import MissionRecord
-from panoexec.mission.log.shot_marks import ShotMark
-from panoexec.mission.log.shot_record import ShotRecord
-from panoexec.optics import Camera
-from panoexec.planning.model import Shot
+from panoexec.mission.log.mark_text import ShotMark
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -74,21 +66,6 @@ LEGEND: Final[Mapping[Mark, tuple[str, str, str]]] = {
 _OUTSIDE_COLOUR: Final = "#16181d"
 
 
-def mark_of(record: ShotRecord, *, current: bool) -> Mark:
-    """The mark of a shot.
-
-    Args:
-        record: the record of the shot.
-        current: whether the shot is being taken now.
-    """
-    return MARKS[shot_marks.mark_of(record, current=current)]
-
-
-def marks_of(record: MissionRecord) -> dict[int, Mark]:
-    """The marks of all shots of a mission, by index."""
-    return {index: mark_of(shot, current=index == record.current) for index, shot in record.shots.items()}
-
-
 def size_for(columns: int, lines: int, *, beside: int) -> tuple[int, int] | None:
     """The largest map that a terminal has room for, in characters; None if there is none.
 
@@ -103,50 +80,88 @@ def size_for(columns: int, lines: int, *, beside: int) -> tuple[int, int] | None
     return None
 
 
+class MapShot(Protocol):
+    """What the map needs of a shot."""
+
+    @property
+    def index(self) -> int:
+        """Its number."""
+
+    @property
+    def pitch_deg(self) -> float:
+        """Elevation of the boresight."""
+
+    @property
+    def yaw_deg(self) -> float:
+        """Azimuth of the boresight."""
+
+
 class SphereMap:
     """Draws the shots of one mission; the pixels of each image are computed once."""
 
-    def __init__(self, camera: Camera, *, width: int = WIDTH, height: int = HEIGHT) -> None:
+    def __init__(self, half_width: float, half_height: float, *, width: int = WIDTH, height: int = HEIGHT) -> None:
         """Create an empty map.
 
         Args:
-            camera: optics of the images.
+            half_width: half an image's width in the ideal image plane at distance 1.
+            half_height: half its height, likewise.
             width: width of the map in characters.
             height: height of the map in characters.
         """
-        self._camera = camera
+        self._half_width, self._half_height = half_width, half_height
+        self._reach_deg = math.degrees(math.atan(math.hypot(half_width, half_height)))
         self.size = width, height
         self.lines = height + CAPTIONS
-        self._shape = (2 * height, width)
-        azimuth = np.radians(-180.0 + 360.0 * (np.arange(width) + 0.5) / width)[None, :]
-        elevation = np.radians(90.0 - 180.0 * (np.arange(2 * height) + 0.5) / (2 * height))[:, None]
-        flat = np.cos(elevation)
-        north, east = flat * np.cos(azimuth), flat * np.sin(azimuth)
-        down = np.broadcast_to(-np.sin(elevation), north.shape)
-        self._directions = np.stack([north, east, down], axis=-1).reshape(-1, 3)
-        self._seen: dict[int, NDArray[np.intp]] = {}
+        self._step_deg = 360.0 / width, 90.0 / height
+        self._seen: dict[int, list[int]] = {}
 
-    def pixels(self, shots: Sequence[Shot], marks: Mapping[int, Mark]) -> NDArray[np.int8]:
-        """The mark of each pixel, shape (2 * height, width), top row first."""
-        out = np.zeros(self._directions.shape[0], dtype=np.int8)
+    def pixels(self, shots: Sequence[MapShot], marks: Mapping[int, Mark]) -> list[list[Mark]]:
+        """The mark of each pixel: 2 * height rows of width pixels, top row first."""
+        width, height = self.size
+        out = [Mark.OUTSIDE] * (2 * height * width)
         for shot in shots:
-            seen = self._pixels_of(shot)
-            out[seen] = np.maximum(out[seen], marks.get(shot.index, Mark.PENDING))
-        return out.reshape(self._shape)
+            mark = marks.get(shot.index, Mark.PENDING)
+            for pixel in self._pixels_of(shot):
+                out[pixel] = max(out[pixel], mark)
+        return [out[row * width : (row + 1) * width] for row in range(2 * height)]
 
-    def _pixels_of(self, shot: Shot) -> NDArray[np.intp]:
+    def _pixels_of(self, shot: MapShot) -> list[int]:
         found = self._seen.get(shot.index)
         if found is None:
-            inside = self._directions @ rotation(shot.yaw_deg, shot.pitch_deg)
-            depth = inside[:, 0]
-            wide = np.abs(inside[:, 1]) <= self._camera.half_width * depth
-            high = np.abs(inside[:, 2]) <= self._camera.half_height * depth
-            found = np.union1d(np.flatnonzero((depth > 0) & wide & high), [int(np.argmax(depth))])
-            self._seen[shot.index] = found
+            found = self._seen[shot.index] = sorted({self._nearest(shot), *self._inside(shot)})
         return found
 
+    def _nearest(self, shot: MapShot) -> int:
+        """The pixel of the boresight: an image smaller than a pixel is shown, too."""
+        width, height = self.size
+        across, down = self._step_deg
+        column = int((shot.yaw_deg + 180.0) % 360.0 / across) % width
+        return min(int((90.0 - shot.pitch_deg) / down), 2 * height - 1) * width + column
+
+    def _inside(self, shot: MapShot) -> Iterator[int]:
+        """The pixels whose centre the image shows."""
+        width, height = self.size
+        across, down = self._step_deg
+        pitch = math.radians(shot.pitch_deg)
+        level, upward = math.cos(pitch), math.sin(pitch)
+        for row in range(2 * height):
+            elevation_deg = 90.0 - down * (row + 0.5)
+            if abs(elevation_deg - shot.pitch_deg) > self._reach_deg:
+                continue
+            flat, rise = math.cos(math.radians(elevation_deg)), math.sin(math.radians(elevation_deg))
+            for column in range(width):
+                aside = math.radians(across * (column + 0.5) - 180.0 - shot.yaw_deg)
+                ahead = flat * math.cos(aside)
+                depth = ahead * level + rise * upward
+                if (
+                    depth > 0
+                    and abs(flat * math.sin(aside)) <= self._half_width * depth
+                    and abs(ahead * upward - rise * level) <= self._half_height * depth
+                ):
+                    yield row * width + column
+
     def text(
-        self, shots: Sequence[Shot], marks: Mapping[int, Mark], *, colours: bool = True, north: bool = False
+        self, shots: Sequence[MapShot], marks: Mapping[int, Mark], *, colours: bool = True, north: bool = False
     ) -> Text:
         """The map with azimuths, elevations and its legend.
 
@@ -164,7 +179,7 @@ class SphereMap:
         for line, (above, below) in enumerate(zip(pixels[0::2], pixels[1::2], strict=True)):
             out.append(f"{beside.get(line, ''):>{MARGIN - 1}} ", "dim" if colours else "")
             # equal neighbours are one piece: a frame has 3 kB instead of 50, which matters on slow remote shells
-            for (top, bottom), alike in groupby(zip(above.tolist(), below.tolist(), strict=True)):
+            for (top, bottom), alike in groupby(zip(above, below, strict=True)):
                 length = len(list(alike))
                 if colours:
                     out.append("▀" * length, f"{_colour(top)} on {_colour(bottom)}")
@@ -198,9 +213,9 @@ class SphereMap:
         return "".join(line)
 
 
-def _colour(mark: int) -> str:
-    return LEGEND[Mark(mark)][0] if mark else _OUTSIDE_COLOUR
+def _colour(mark: Mark) -> str:
+    return LEGEND[mark][0] if mark else _OUTSIDE_COLOUR
 
 
-def _character(mark: int) -> str:
-    return LEGEND[Mark(mark)][1] if mark else " "
+def _character(mark: Mark) -> str:
+    return LEGEND[mark][1] if mark else " "

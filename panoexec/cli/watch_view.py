@@ -17,9 +17,9 @@ from panoexec.mqtt.senders import received
 
 if TYPE_CHECKING:
     from panoexec.cli.sphere_map import Mark, SphereMap
-    from panoexec.inputs.plan_file import PlanFile
+    from panoexec.cli.watch_map import MapPlan
 
-# what draws maps needs numpy, and is imported when a plan is drawn: `watch` is to show at once that it listens
+# what draws maps is imported when a plan is drawn: `watch` is to show at once that it listens
 
 ENDED: Final = {"complete": 0, "incomplete": 1, "aborted": 1, "failed": 3}
 """Final states of a mission, with the exit code of `watch`."""
@@ -97,7 +97,7 @@ class Watched:
     finished: bool = False
     last: str = ""
     attempts: dict[tuple[int, int], Attempt] = field(default_factory=dict)
-    plan: PlanFile | None = None
+    plan: MapPlan | None = None
     sphere: SphereMap | None = None
     _document: Any = None
     _seen: set[str] = field(default_factory=set)
@@ -136,9 +136,9 @@ class Watched:
 
         if self.plan is None:
             self.plan, self._document = watch_map.plan_of(self._document), None
-        if self.plan is None or self.plan.camera is None:
+        if self.plan is None:
             return None
-        self.sphere = watch_map.sphere_for(self.plan.camera, self.sphere, room, beside=beside)
+        self.sphere = watch_map.sphere_for(self.plan, self.sphere, room, beside=beside)
         return self.sphere
 
     def marks(self) -> dict[int, Mark]:

@@ -2,34 +2,10 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable
-from enum import StrEnum
-from itertools import groupby
-from typing import Final
-
 from panoexec.mission.log import events as ev
+from panoexec.mission.log.mark_text import ShotMark, in_runs
 from panoexec.mission.log.record import MissionRecord
 from panoexec.mission.log.shot_record import ShotRecord, ShotStatus
-
-
-class ShotMark(StrEnum):
-    """The state of a shot in a map; the value is its letter in the text."""
-
-    TO_DO = "t"
-    CURRENT = "c"
-    """Being taken."""
-    DONE = "d"
-    """Accepted at the first try."""
-    RETAKEN = "r"
-    """Accepted at a later try."""
-    AGAIN = "a"
-    """Rejected, to be taken again."""
-    MISSING = "m"
-    """Missed or skipped; or not taken when the mission ended."""
-
-
-_RUN: Final = re.compile(r"([tcdram])([1-9][0-9]{0,6})")
 
 
 def mark_of(record: ShotRecord, *, current: bool, ended: bool = False) -> ShotMark:
@@ -51,14 +27,10 @@ def mark_of(record: ShotRecord, *, current: bool, ended: bool = False) -> ShotMa
 
 def marks_text(record: MissionRecord) -> str:
     """The marks of all shots by index, run-length encoded: `d12 r1 c1 t42`."""
-    return _in_runs(
+    return in_runs(
         mark_of(shot, current=index == record.current, ended=record.ended)
         for index, shot in sorted(record.shots.items())
     )
-
-
-def _in_runs(letters: Iterable[ShotMark]) -> str:
-    return " ".join(f"{letter.value}{sum(1 for _ in run)}" for letter, run in groupby(letters))
 
 
 class ShotMarks:
@@ -98,13 +70,5 @@ class ShotMarks:
             self._letters[self._places[index]] = mark
         self._touched.clear()
         self._current = record.current
-        self._text = _in_runs(self._letters)
+        self._text = in_runs(self._letters)
         return self._text
-
-
-def marks_from_text(text: str, *, count: int) -> list[ShotMark]:
-    """Parse a text of `marks_text` with `count` shots; empty if it is not valid."""
-    runs = [_RUN.fullmatch(part) for part in text.split(" ")]
-    if any(run is None for run in runs) or sum(int(run[2]) for run in runs if run) != count:
-        return []
-    return [ShotMark(run[1]) for run in runs if run for _ in range(int(run[2]))]

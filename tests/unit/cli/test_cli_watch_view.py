@@ -139,6 +139,37 @@ def test_a_mission_ends_once_it_was_seen_to_fly(state: str) -> None:
     assert one.finished
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"camera": None},
+        {"camera": {"hfov_deg": "wide", "vfov_deg": 40}},
+        {"camera": {"hfov_deg": 60}},
+        {"camera": {"hfov_deg": True, "vfov_deg": 40}},
+        {"camera": {"hfov_deg": float("nan"), "vfov_deg": 40}},
+        {"camera": {"hfov_deg": 400, "vfov_deg": 40}},
+        {"shots": None},
+        {"shots": []},
+        {"shots": [5]},
+        {"shots": [{"index": 0, "pitch_deg": 91, "yaw_deg": 0}]},
+        {"shots": [{"index": 0, "pitch_deg": 0, "yaw_deg": float("inf")}]},
+        {"shots": [{"index": "x", "pitch_deg": 0, "yaw_deg": 0}]},
+        {"shots": [{"index": float("inf"), "pitch_deg": 0, "yaw_deg": 0}]},
+        {"shots": [{"index": 0, "yaw_deg": 0}]},
+    ],
+)
+def test_a_plan_that_is_none_is_not_drawn(change: dict[str, Any]) -> None:
+    plan = {
+        "camera": {"hfov_deg": 60, "vfov_deg": 40},
+        "shots": [{"index": 0, "pitch_deg": 0, "yaw_deg": 0}],
+    }
+    one = Watched()
+    one.hear("plan", plan)
+    assert one.map((100, 50), beside=8) is not None
+    one.hear("plan", plan | change)
+    assert one.map((100, 50), beside=8) is None
+
+
 @pytest.mark.parametrize("document", [None, 5, "x", [], {}, {"type": None, "id": 3, "shot": "x", "errors": 3}])
 def test_what_a_stranger_publishes_there_does_no_harm(document: Any) -> None:
     one = Watched()

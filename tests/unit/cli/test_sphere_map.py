@@ -6,10 +6,13 @@ import io
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from rich.console import Console
 
-from panoexec.cli.dry_run_view import MissionView
-from panoexec.cli.sphere_map import CAPTIONS, HEIGHT, LEGEND, MARGIN, WIDTH, Mark, SphereMap, marks_of, size_for
+from panoexec.angles import rotation
+from panoexec.cli.dry_run_view import MissionView, marks_of
+from panoexec.cli.sphere_map import CAPTIONS, HEIGHT, LEGEND, MARGIN, WIDTH, Mark, SphereMap, size_for
 from panoexec.devices import EvidenceLevel
 from panoexec.mission.executor import Mission
 from panoexec.mission.log import events as ev
@@ -26,15 +29,19 @@ def a_shot(index: int, pitch_deg: float, yaw_deg: float) -> Shot:
     return Shot(index=index, row=0, pitch_deg=pitch_deg, yaw_deg=yaw_deg)
 
 
-def mark_at(pixels: np.ndarray[tuple[int, ...], np.dtype[np.int8]], elevation_deg: float, azimuth_deg: float) -> Mark:
+def a_map(camera: Camera, *, width: int = WIDTH, height: int = HEIGHT) -> SphereMap:
+    return SphereMap(camera.half_width, camera.half_height, width=width, height=height)
+
+
+def mark_at(pixels: list[list[Mark]], elevation_deg: float, azimuth_deg: float) -> Mark:
     row = int((90.0 - elevation_deg) / 180.0 * 2 * HEIGHT)
     column = int((azimuth_deg + 180.0) / 360.0 * WIDTH)
-    return Mark(int(pixels[row, column]))
+    return pixels[row][column]
 
 
 def test_an_image_marks_what_it_sees_and_nothing_else() -> None:
-    pixels = SphereMap(CAMERA).pixels([a_shot(0, -20.0, 90.0)], {0: Mark.DONE})
-    assert pixels.shape == (2 * HEIGHT, WIDTH)
+    pixels = a_map(CAMERA).pixels([a_shot(0, -20.0, 90.0)], {0: Mark.DONE})
+    assert np.shape(pixels) == (2 * HEIGHT, WIDTH)
     assert mark_at(pixels, -20.0, 90.0) is Mark.DONE
     assert mark_at(pixels, -20.0 + 18.0, 90.0) is Mark.DONE
     assert mark_at(pixels, -20.0 + 28.0, 90.0) is Mark.OUTSIDE
@@ -44,22 +51,53 @@ def test_an_image_marks_what_it_sees_and_nothing_else() -> None:
 
 
 def test_the_nadir_is_the_whole_lowest_row_and_the_back_is_both_ends() -> None:
-    pixels = SphereMap(CAMERA).pixels([a_shot(0, -90.0, 0.0), a_shot(1, 0.0, -180.0)], {0: Mark.DONE, 1: Mark.MISSING})
-    assert set(pixels[-1].tolist()) == {Mark.DONE}
+    pixels = a_map(CAMERA).pixels([a_shot(0, -90.0, 0.0), a_shot(1, 0.0, -180.0)], {0: Mark.DONE, 1: Mark.MISSING})
+    assert set(pixels[-1]) == {Mark.DONE}
     assert mark_at(pixels, 1.0, 178.0) is mark_at(pixels, 1.0, -178.0) is Mark.MISSING
 
 
 def test_what_one_image_has_is_no_gap_of_another() -> None:
     shots = [a_shot(0, 0.0, 0.0), a_shot(1, 0.0, 30.0)]
-    pixels = SphereMap(CAMERA).pixels(shots, {0: Mark.DONE, 1: Mark.MISSING})
+    pixels = a_map(CAMERA).pixels(shots, {0: Mark.DONE, 1: Mark.MISSING})
     assert mark_at(pixels, 1.0, 15.0) is Mark.DONE
     assert mark_at(pixels, 1.0, 45.0) is Mark.MISSING
 
 
 def test_an_image_smaller_than_a_character_is_still_there() -> None:
-    pixels = SphereMap(Camera.from_fov(2.0, 1.5)).pixels([a_shot(0, 11.0, 33.0)], {0: Mark.CURRENT})
+    pixels = a_map(Camera.from_fov(2.0, 1.5)).pixels([a_shot(0, 11.0, 33.0)], {0: Mark.CURRENT})
     assert int(np.count_nonzero(pixels)) == 1
     assert mark_at(pixels, 11.0, 33.0) is Mark.CURRENT
+
+
+@given(
+    yaw_deg=st.floats(-180, 180),
+    pitch_deg=st.floats(-90, 90),
+    hfov_deg=st.floats(0.1, 170),
+    vfov_deg=st.floats(0.1, 170),
+    size=st.sampled_from([(72, 18), (48, 12), (36, 9)]),
+)
+def test_the_pixels_of_an_image_are_those_whose_centres_it_shows(
+    yaw_deg: float, pitch_deg: float, hfov_deg: float, vfov_deg: float, size: tuple[int, int]
+) -> None:
+    width, height = size
+    camera = Camera.from_fov(hfov_deg, vfov_deg)
+    shot = a_shot(0, pitch_deg, yaw_deg)
+    seen = np.array(a_map(camera, width=width, height=height).pixels([shot], {0: Mark.DONE})) == Mark.DONE
+    elevation = np.radians(90.0 - 90.0 / height * (np.arange(2 * height) + 0.5))[:, None]
+    azimuth = np.radians(-180.0 + 360.0 / width * (np.arange(width) + 0.5))[None, :]
+    flat = np.cos(elevation)
+    down = np.broadcast_to(-np.sin(elevation), (2 * height, width))
+    ray = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), down], axis=-1) @ rotation(yaw_deg, pitch_deg)
+    beyond = np.maximum(
+        np.abs(ray[..., 1]) - camera.half_width * ray[..., 0], np.abs(ray[..., 2]) - camera.half_height * ray[..., 0]
+    )
+    inside, edge = (beyond <= 0) & (ray[..., 0] > 0), np.abs(beyond) < 1e-9
+    extra = seen & ~inside & ~edge
+    assert not (inside & ~seen & ~edge).any()
+    assert np.count_nonzero(extra) <= 1, "the pixel of the boresight alone may be more"
+    # no farther from the boresight than half a pixel's diagonal
+    least = np.cos(np.hypot(np.pi / width, np.pi / 4 / height))
+    assert (ray[..., 0][extra] >= least - 1e-9).all()
 
 
 def shown(text: object, **console: object) -> str:
@@ -70,7 +108,7 @@ def shown(text: object, **console: object) -> str:
 
 def test_colours_and_their_legend() -> None:
     shots = [a_shot(0, 0.0, 0.0), a_shot(1, 0.0, 90.0)]
-    text = SphereMap(CAMERA).text(shots, {0: Mark.DONE, 1: Mark.MISSING})
+    text = a_map(CAMERA).text(shots, {0: Mark.DONE, 1: Mark.MISSING})
     coloured = shown(text, force_terminal=True, color_system="truecolor")
     for mark in (Mark.DONE, Mark.MISSING):
         red, green, blue = (int(LEGEND[mark][0][i : i + 2], 16) for i in (1, 3, 5))
@@ -81,7 +119,7 @@ def test_colours_and_their_legend() -> None:
 
 def test_without_colours_the_characters_tell() -> None:
     shots = [a_shot(0, 0.0, 0.0), a_shot(1, 0.0, 90.0), a_shot(2, 0.0, -90.0)]
-    plain = shown(SphereMap(CAMERA).text(shots, {0: Mark.DONE, 1: Mark.MISSING}, colours=False))
+    plain = shown(a_map(CAMERA).text(shots, {0: Mark.DONE, 1: Mark.MISSING}, colours=False))
     lines = plain.splitlines()
     assert len(lines) == HEIGHT + CAPTIONS
     assert {"█", "x", "·"} <= set("".join(lines[:HEIGHT]))
@@ -92,7 +130,7 @@ def test_without_colours_the_characters_tell() -> None:
 def test_azimuths_and_elevations_stand_where_they_are(size: tuple[int, int], north: bool) -> None:
     width, height = size
     shots = [a_shot(0, 30.0, 90.0)]
-    sphere = SphereMap(Camera.from_fov(2.0, 1.5), width=width, height=height)
+    sphere = a_map(Camera.from_fov(2.0, 1.5), width=width, height=height)
     lines = shown(sphere.text(shots, {0: Mark.MISSING}, colours=False, north=north)).splitlines()
     beside = {line[: MARGIN - 1].strip(): number for number, line in enumerate(lines[:height]) if line[:MARGIN].strip()}
     assert list(beside) == ["+60", "+30", "0°", "-30", "-60"]

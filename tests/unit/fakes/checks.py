@@ -6,8 +6,9 @@ import numpy as np
 
 from panoexec.angles import rotation, rotation_from_quaternion
 from panoexec.mission.log import events as ev
+from panoexec.mission.log.mark_text import ShotMark, marks_from_text
 from panoexec.mission.log.record import MissionRecord
-from panoexec.mission.log.shot_marks import ShotMark, marks_from_text, marks_text
+from panoexec.mission.log.shot_marks import marks_text
 from panoexec.mission.log.shot_record import ShotStatus, Verdict
 from panoexec.mission.log.states import ENDED, TRANSITIONS, MissionState
 from panoexec.mission.pointing.poses import read_pose

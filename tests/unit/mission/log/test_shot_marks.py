@@ -6,7 +6,8 @@ import pytest
 
 from panoexec.mission.executor import Mission
 from panoexec.mission.log import events as ev
-from panoexec.mission.log.shot_marks import ShotMark, ShotMarks, mark_of, marks_from_text, marks_text
+from panoexec.mission.log.mark_text import ShotMark, marks_from_text
+from panoexec.mission.log.shot_marks import ShotMarks, mark_of, marks_text
 from tests.unit.fakes.flying import drift_at, fly, until_event
 from tests.unit.fakes.world import World, a_plan
 
