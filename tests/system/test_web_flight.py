@@ -133,6 +133,8 @@ async def test_a_mission_is_flown_by_clicks(demo: str, browser: Browser, tmp_pat
 async def downloaded(browser: Browser, tmp_path: Path, images: int) -> dict[str, Any]:
     """Download everything by clicks; what is said there is true. Returns the manifest."""
     folder = tmp_path / "downloads"
+    # complete is told before the report is written
+    browser.until("document.querySelector('iframe.report') !== null")
     browser.call("Page.setDownloadBehavior", behavior="allow", downloadPath=str(folder))
     browser.click("#download")
     await eventually(lambda: list(folder.glob("*.zip")), 60)
@@ -148,8 +150,6 @@ async def downloaded(browser: Browser, tmp_path: Path, images: int) -> dict[str,
     assert manifest["shots"][0]["accepted_attempt"] == len(manifest["shots"][0]["attempts"]) >= 2
     assert untruths(mission, tmp_path / "demo" / "photos" / "truth.jsonl") == []
     assert "<title>Chapel &lt;b&gt;west" in (mission / "report.html").read_text()
-    # complete is told before the report is written
-    browser.until("document.querySelector('iframe.report') !== null")
     frame = browser.value("document.querySelector('iframe.report').src")
     status = browser.value(f"fetch('{frame}').then((answer) => answer.text()).then((text) => text.length)")
     assert status == len((mission / "report.html").read_text())
