@@ -14,9 +14,8 @@ taken for ours: what is found there does not count.
 
 Some cameras answer before they acknowledge. Their answer proves nothing, but a second request, sent as soon as the
 first is acknowledged, is answered after that, and so certainly after the first was sent. It is taken for stamped after
-the second was sent only if answer, acknowledgement, answer, acknowledgement is all that arrived, this time and the last
-times, as far as there were some: else a message that the camera sends by itself may have taken the place of an answer
-that was lost.
+the second was sent only if answer, acknowledgement, answer, acknowledgement is all that arrived, this time and the
+times before: else a message that the camera sends by itself may have taken the place of an answer that was lost.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ _LATEST_S: Final = 0.25
 _REPEATED_S: Final = 0.4
 """A request that is acknowledged later may have been repeated (MAVSDK does after 0.5 s)."""
 _REMEMBERED: Final = 9
-"""So many round trips, or as many as there were, must have been without anything unasked, or lost."""
+"""So many round trips in a row must have been without anything unasked, or lost."""
 _SLOW_S: Final = 10.0
 """For so long after that nothing counts: requests of MAVSDK's own may have been repeated, too."""
 
@@ -146,13 +145,15 @@ class RoundTrips:
         await self._clock.sleep(_OVERTAKES_S)
         acknowledged = [number for number, (stamp_s, _) in enumerate(heard) if stamp_s is None]
         if len(acknowledged) != 2:  # others were acknowledged too: which one is that of the first request?
+            self._disturbed.append(True)
             return None
         self._disturbed.append([stamp_s is None for stamp_s, _ in heard] != [False, True, False, True])
         latest = _latest_after(heard, acknowledged[0])
         self._answers_first = latest is not None and _latest_after(heard, acknowledged[1]) is None
         if latest is None:
             return None
-        asked_s = asked_s if any(self._disturbed) else again_s
+        is_known = len(self._disturbed) == _REMEMBERED and not any(self._disturbed)
+        asked_s = again_s if is_known else asked_s
         return RoundTrip(stamp_s=latest[0], asked_s=asked_s, received_s=latest[1])
 
     async def _is_acknowledged(self) -> bool:
