@@ -364,8 +364,10 @@ def test_a_report_that_is_written_after_the_mission_is_complete_appears(page: Br
     page.visit(f"{server.url}/v/drone#mission={MISSION}")
     page.until("document.getElementById('mission-state')?.textContent === 'Complete'")
     assert page.value("document.querySelector('iframe.report')") is None
+    assert "a download does not have it" in text(page, "#report-awaited")
     server.missions = [stored(MISSION, report=f"/missions/{MISSION}/report")]
     page.until("document.querySelector('iframe.report') !== null && document.getElementById('open-report') !== null")
+    assert page.value("document.getElementById('report-awaited')") is None
 
 
 def test_a_fleet_is_sorted_by_who_needs_somebody(browser: Browser, server: PageServer) -> None:

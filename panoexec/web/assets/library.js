@@ -85,7 +85,7 @@ export class MissionView extends Missions {
   get title() { return this.mission ? nameOf(this.mission) : "Mission"; }
   changed() {
     const { mission } = this, { model } = this.page, stitch = model.stitches.get(this.id) || null, lost = model.lostSince !== null, viewer = Boolean(model.hello && model.hello.role === "viewer");
-    redraw(this.head, [mission, stitch, lost, viewer, this.problem, this.missions === null], () => this.headOf(mission, stitch, lost, viewer));
+    redraw(this.head, [mission, stitch, lost, viewer, this.problem, this.missions === null, this.awaitsReport(mission)], () => this.headOf(mission, stitch, lost, viewer));
     const report = mission && mission.report;
     this.awaitReport(mission);
     this.report.hidden = !report;
@@ -110,13 +110,15 @@ export class MissionView extends Missions {
         button(running ? "Stitching …" : mission.panorama ? "Stitch again" : "Stitch", { key: "stitch", id: "stitch", class: "big plain", reason: blocked || mission.stitch, onclick: () => this.page.link.stitch(mission.mission_id), refused: refused("Stitch") }),
         button("Delete", { key: "delete", id: "delete", class: "big outline-bad", reason: blocked || mission.deletable, onclick: () => this.remove(mission), refused: refused("Delete") }), back),
       reasons ? el("p", { class: "muted small" }, reasons) : null,
+      this.awaitsReport(mission) ? el("p", { class: "muted small", id: "report-awaited" }, "There is no report yet, which is written after the mission: a download does not have it.") : null,
       stitch ? el("div", { id: "stitching", role: "status" }, isNumber(stitch.fraction) ? el("progress", { max: 1, value: stitch.fraction, "aria-label": "Stitching" }) : null,
         el("p", { class: `stage ${{ running: "run", done: "good", failed: "bad" }[stitch.stage] || ""}` }, el("b", {}, { running: "stitching", done: "stitched", failed: "not stitched" }[stitch.stage] || stitch.stage), el("span", {}, [stitch.text, stitch.who].filter(Boolean).join(" · ")))) : null,
     ];
   }
   /* A mission is complete before its report is written: look again, for two minutes, while it is shown. */
+  awaitsReport(mission) { return Boolean(mission && !mission.report && !mission.remote && ENDED.has(mission.state) && this.looks < 60); }
   awaitReport(mission) {
-    if (!mission || mission.report || mission.remote || !ENDED.has(mission.state) || this.looking || this.looks === 60) return;
+    if (!this.awaitsReport(mission) || this.looking) return;
     this.looking = true;
     this.looks += 1;
     setTimeout(() => { this.looking = false; if (this.node.isConnected) this.read(); }, 2000);
