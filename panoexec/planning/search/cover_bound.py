@@ -30,6 +30,7 @@ Cells that are in no chain of T images under C2 and C3 are left out. If no path 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -40,6 +41,8 @@ from panoexec.planning.search.row_cells import FIRST, LAST, LOW, TOP, BoolArray,
 
 _CELLS = (80, 240)
 """Cells of pitch per vertical field of view: few ones first, and more where these do not raise the bound any more."""
+_NEAR = 3
+"""The more cells are not tried if a plan is known whose images are more above the bound: it is not tight there."""
 _BESIDE = 0.15
 """δ of the module docstring, in vertical fields of view."""
 _GROUP = 14
@@ -56,18 +59,29 @@ _EPS = 1e-6
 _ANY = 1e8
 
 
-def least_images_that_cover(camera: Camera, constraints: Constraints, known: int) -> int:
+def least_images_that_cover(
+    camera: Camera,
+    constraints: Constraints,
+    known: int,
+    *,
+    images: int | None = None,
+    go_on: Callable[[], bool] = lambda: True,
+) -> int:
     """The bound, at least `known`.
 
     Args:
         camera: the camera.
         constraints: of a full circle, without masks and skyline.
         known: another bound for plans in closed rows.
+        images: there is a plan with so many, so that a larger bound is not looked for; None if none is known.
+        go_on: asked now and then; with False the bound is what is known by then.
     """
     if known > _MOST_IMAGES or camera.vfov_deg > 170.0:
         return known
     bound = known
     for per_vfov in _CELLS:
+        if not go_on() or (images is not None and per_vfov > _CELLS[0] and images > bound + _NEAR):
+            break
         cells = cells_of(camera, constraints, per_vfov)
         if np.any(cells.begins & cells.ends & (cells.low_caps | cells.top_caps)):
             return known
@@ -79,9 +93,11 @@ def least_images_that_cover(camera: Camera, constraints: Constraints, known: int
             return known
         bound = max(bound, int(least))
         for further in _FURTHER:
-            most = bound + further
+            if images is not None and bound >= images:
+                return bound
+            most = bound + further if images is None else min(bound + further, images - 1)
             left = nodes.within(most)
-            if bound >= single or left.count > _MOST_NODES:
+            if bound >= single or left.count > _MOST_NODES or not go_on():
                 break
             found = min(_Search(cells, left, most, _BESIDE * camera.vfov_deg).least(), float(single), most + 1.0)
             bound = max(bound, int(found))

@@ -67,11 +67,18 @@ def core_shown_deg(
         grown_deg: how far the pitch may be from these. An image turned by so much is in one that is larger by it.
         elevation_deg: (m,), no poles.
     """
-    grown = math.radians(grown_deg)
-    h = math.tan(math.atan(camera.half_height) + grown)
-    w = camera.half_width / (math.cos(grown) - camera.half_height * math.sin(grown))
     errors = {-tolerance.pitch_deg, tolerance.pitch_deg}
-    shown = [shown_deg(w, h, pitch_deg[:, None] + error, elevation_deg[None]) for error in sorted(errors)]
+    shown = [
+        grown_shown_deg(camera, pitch_deg[:, None] + error, grown_deg, elevation_deg[None]) for error in sorted(errors)
+    ]
     least = np.minimum.reduce(shown)
     less = np.maximum(least - 2 * tolerance.yaw_deg, 0.0)
     return np.where(least >= 360.0 - _FULL_DEG, 360.0, less) + _ROUNDING_DEG
+
+
+def grown_shown_deg(camera: Camera, pitch_deg: FloatArray, grown_deg: float, elevation_deg: ArrayLike) -> FloatArray:
+    """As `shown_deg`, the most that images show whose pitch is nearer to the given one than `grown_deg`."""
+    grown = math.radians(grown_deg)
+    h = math.tan(math.atan(camera.half_height) + grown)
+    w = camera.half_width / (math.cos(grown) - camera.half_height * math.sin(grown))
+    return shown_deg(w, h, pitch_deg, elevation_deg)

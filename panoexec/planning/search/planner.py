@@ -21,16 +21,15 @@ from panoexec.errors import PlanningError
 from panoexec.optics import Camera
 from panoexec.planning.certificate.texture import mark_geometry_only
 from panoexec.planning.certificate.verdict import certify
-from panoexec.planning.model import Certificate, Constraints, GimbalLimits, Plan, Shot, Timing
+from panoexec.planning.model import Constraints, GimbalLimits, Plan, Timing
 from panoexec.planning.order.duration import estimate
 from panoexec.planning.order.shot_order import Order, order_shots
 from panoexec.planning.reach import check_reachable
 from panoexec.planning.request import MAX_IMAGES, check_request
 from panoexec.planning.search.budget import BudgetSpentError, SearchBudget
 from panoexec.planning.search.infeasible import empty_cores, excessive_overlap, infeasibility_error, nothing_to_cover
-from panoexec.planning.search.lower_bound import least_images
+from panoexec.planning.search.lower_bounds import LowerBounds
 from panoexec.planning.search.proposal import Found, Lack, missing, reindexed, row_shots, verdict
-from panoexec.planning.search.row_bound import least_images_in_rows
 from panoexec.planning.search.row_constraints import RowConstraints
 from panoexec.planning.search.row_refinement import Rows, refine
 from panoexec.planning.search.row_seam import optimise_seam
@@ -39,6 +38,7 @@ from panoexec.planning.search.siblings import siblings
 from panoexec.planning.search.thinning import drop_redundant_shots, trim_band
 from panoexec.planning.search.uneven_rows import uneven_rows
 from panoexec.planning.search.variants import Variant, can_tie, variants
+from panoexec.planning.search.verdicts import TimedVerdicts, ordering_s
 
 _LABELS_TRIED = 3
 """Number of solutions of one total that are certified before a larger total is tried."""
@@ -77,15 +77,6 @@ _MARGIN_MANY = 2e-3
 """Margin for plans of very many rows. Without, the rows about the poles lack up to 0.0016, and the search, which takes
 most of the time, is repeated; 0.002 costs no more images than the repetition does."""
 
-_VERDICT_S_PER_IMAGE, _FEW_IMAGES = 1e-3, 100
-"""Processor time of a verdict for each image before any was measured, as for so many images at least."""
-
-_ORDER_S, _ORDER_S_PER_IMAGE = 0.1, 1e-3
-"""Processor time of ordering the shots, more than was measured."""
-
-_EXPLAINING = 3
-"""A certificate that explains what fails takes as long as so many verdicts, at most."""
-
 _THINNING_VERDICTS = 12
 """Verdicts for which time is kept where masks may make images redundant."""
 
@@ -121,16 +112,13 @@ def plan_certified(
     hopeless = hopeless or empty_cores(camera, constraints)
     if hopeless:
         raise PlanningError(hopeless)
-    of_any = least_images(camera, constraints)
-    bound = max(of_any, least_images_in_rows(camera, constraints) or 1)
     planner = _Planner(camera, constraints, budget)
-    found = planner.best(enough=bound, enough_uneven=of_any)
-    if len(found.shots) < bound:
-        bound = of_any  # the other one holds for even rows
+    found = planner.best()
+    bound = planner.lower_bound(found)
     limits, costs = constraints.gimbal or GimbalLimits(), timing or Timing()
     check_reachable(found.shots, constraints.gimbal)
     shots = mark_geometry_only(camera, constraints, found.shots)
-    explains = found.certificate.certified or budget.left > planner.explaining_s(len(shots))
+    explains = found.certificate.certified or budget.left > planner.verdicts.explaining_s(len(shots))
     if explains:
         shots = order_shots(shots, limits, costs, order=order or "fastest")
     plan = Plan(
@@ -143,7 +131,7 @@ def plan_certified(
         notes=(_cut_note(budget_s, bound),) if found.cut and budget_s is not None else (),
     )
     if not found.certificate.certified and explains:
-        verdict_s = planner.verdict_s(len(shots))
+        verdict_s = planner.verdicts.one_s(len(shots))
         return replace(plan, certificate=certify(plan, go_on=lambda: budget.left > verdict_s))
     return replace(plan, certificate=reindexed(found, shots))
 
@@ -161,17 +149,14 @@ class _Planner:
         self._asked = constraints
         self._constraints = trim_band(constraints)
         self._budget = budget or SearchBudget()
+        self._bounds = LowerBounds(camera, constraints, self._budget)
+        self.verdicts = TimedVerdicts(camera, self._budget)
         self._best: Found | None = None
-        self._image_s = _VERDICT_S_PER_IMAGE
         self._spent = 0
         self._tried: dict[tuple[object, ...], bool] = {}
 
-    def best(self, *, enough: int = 1, enough_uneven: int = 1) -> Found:
+    def best(self) -> Found:
         """The best plan.
-
-        Args:
-            enough: no plan in even rows has fewer images than this, so that one with as many ends their search.
-            enough_uneven: likewise for uneven rows.
 
         Raises:
             PlanningError: there is none, or none was found within the budget.
@@ -180,8 +165,8 @@ class _Planner:
         try:
             group = self._search(self._constraints)
             if self._best is not None:
-                self._search_on(enough, group)
-                self._search_uneven(enough_uneven)
+                self._search_on(group)
+                self._search_uneven()
         except BudgetSpentError:
             cut = True
         if self._best is None:
@@ -197,13 +182,13 @@ class _Planner:
             return self._without_redundant(best)
         return best
 
-    def verdict_s(self, images: int) -> float:
-        """About how long a verdict on so many images takes, by those before, seconds of processor time."""
-        return self._image_s * max(images, _FEW_IMAGES)
-
-    def explaining_s(self, images: int) -> float:
-        """About how long it takes to order images and to explain what fails, seconds of processor time."""
-        return _order_s(images) + _EXPLAINING * self.verdict_s(images)
+    def lower_bound(self, found: Found) -> int:
+        """No plan of its class has fewer images than this, see `LowerBounds`."""
+        images, certified = len(found.shots), found.certificate.certified
+        after_s = ordering_s(images) if certified else self.verdicts.explaining_s(images)
+        bound = self._bounds.in_rows(images if certified else None, after_s=after_s)
+        # that holds for even rows
+        return bound if images >= bound else self._bounds.of_any
 
     def _without_redundant(self, best: Found) -> Found:
         """A certified plan without images that see only masks, as far as there is time to tell."""
@@ -212,7 +197,7 @@ class _Planner:
         def go_on() -> bool:
             nonlocal cut
             # this verdict, and that on the result
-            cut = cut or self._budget.left < 2 * self.verdict_s(images) + _order_s(images)
+            cut = cut or self._budget.left < 2 * self.verdicts.one_s(images) + ordering_s(images)
             return not cut
 
         shots = drop_redundant_shots(self._camera, self._asked, best.shots, go_on)
@@ -242,7 +227,7 @@ class _Planner:
                     self._try_variant(constraints, variant)
         return group
 
-    def _search_on(self, enough: int, group: int) -> None:
+    def _search_on(self, group: int) -> None:
         """Search for fewer images with stronger demands, and of slightly stricter requests, as far as the work allows.
 
         The work allowed is a multiple of that of the search before, unless nothing is certified yet.
@@ -252,18 +237,18 @@ class _Planner:
         allowed = _MORE_WORK * max(self._budget.work, _LEAST_WORK_ON)
         for constraints, variant in self._further(group):
             images = self._best_images
-            if images is not None and (images <= enough or self._budget.work > allowed):
+            if images is not None and (self._budget.work > allowed or images <= self._bounds.in_rows(images)):
                 return
             self._try_variant(constraints, variant, within_band=variant.group >= _ONLY_FOR_TIES)
 
-    def _search_uneven(self, enough: int) -> None:
+    def _search_uneven(self) -> None:
         """Search for fewer images in rows that are not even."""
 
         def images() -> int:
             return self._best_images or 0
 
-        for shots in uneven_rows(self._camera, self._asked, images, enough=enough, budget=self._budget):
-            certificate = self._timed_verdict(self._asked, shots)
+        for shots in uneven_rows(self._camera, self._asked, images, enough=self._bounds.of_any, budget=self._budget):
+            certificate = self.verdicts.on(self._asked, shots)
             if certificate.certified:
                 self._keep(Found(shots, certificate))
 
@@ -376,30 +361,18 @@ class _Planner:
     def _certify(self, rules: RowConstraints, rows: Rows) -> Found:
         shots = row_shots(rules, rows)
         self._spent += len(shots)
-        return Found(shots, self._timed_verdict(self._constraints, shots))
-
-    def _timed_verdict(self, constraints: Constraints, shots: Sequence[Shot]) -> Certificate:
-        self._budget.use(seconds=self.verdict_s(len(shots)))
-        began = self._budget.clock()
-        certificate = verdict(self._camera, constraints, shots)
-        self._image_s = max(self._image_s, (self._budget.clock() - began) / max(len(shots), _FEW_IMAGES))
-        return certificate
+        return Found(shots, self.verdicts.on(self._constraints, shots))
 
     def _keep(self, found: Found) -> None:
         """Take a plan for the best, and keep the time that it takes to complete it."""
         self._best = found
         images = len(found.shots)
-        after = _order_s(images)
+        after = ordering_s(images)
         if not found.certificate.certified:
-            after = self.explaining_s(images)
+            after = self.verdicts.explaining_s(images)
         elif self._asked.masks:
-            after += _THINNING_VERDICTS * self.verdict_s(images)
+            after += _THINNING_VERDICTS * self.verdicts.one_s(images)
         self._budget.reserve(after)
-
-
-def _order_s(images: int) -> float:
-    """About how long ordering the shots takes, seconds of processor time."""
-    return _ORDER_S + _ORDER_S_PER_IMAGE * images
 
 
 def _first_of_each_total(solutions: Sequence[Label]) -> Iterator[Label]:

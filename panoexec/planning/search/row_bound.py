@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 
@@ -33,18 +34,38 @@ from panoexec.angles import FloatArray
 from panoexec.optics import Camera
 from panoexec.planning.model import Constraints
 from panoexec.planning.search.cover_bound import least_images_that_cover
+from panoexec.planning.search.parallels import grown_shown_deg
 from panoexec.planning.search.row_layout import reachable_pitch
-from panoexec.planning.search.row_limits import fewest_images, highest_after_caps, highest_next, lowest_shown
+from panoexec.planning.search.row_limits import (
+    fewest_images,
+    highest_after_caps,
+    highest_next,
+    lowest_shown,
+    useful_caps,
+)
 
 _CELLS = 900
 """Cells of pitch per vertical field of view, and at most so many in all."""
 _MOST_CELLS = 60_000
-_AROUND = 720
 _POLAR_END_DEG = 0.1
 
 
-def least_images_in_rows(camera: Camera, constraints: Constraints) -> int | None:
-    """The bound; None where it does not apply, or says nothing."""
+def least_images_in_rows(
+    camera: Camera,
+    constraints: Constraints,
+    *,
+    images: int | None = None,
+    go_on: Callable[[], bool] = lambda: True,
+) -> int | None:
+    """The bound; None where it does not apply, or says nothing.
+
+    Args:
+        camera: the camera.
+        constraints: what is asked for.
+        images: there is a plan of the class with so many, so that a larger bound is not looked for, and far below not a
+            little tighter one either; None if none is known.
+        go_on: asked now and then; with False the bound is what is known by then.
+    """
     band = constraints.band
     if not band.is_full_circle or constraints.masks or constraints.textured_below is not None:
         return None
@@ -53,7 +74,9 @@ def least_images_in_rows(camera: Camera, constraints: Constraints) -> int | None
     known = _by_overlaps(camera, constraints)
     if known == 1:
         return 1
-    least = least_images_that_cover(camera, constraints, known or 1)
+    if images is not None and known is not None and known >= images:
+        return known
+    least = least_images_that_cover(camera, constraints, known or 1, images=images, go_on=go_on)
     return least if known is not None or least > 1 else None
 
 
@@ -69,29 +92,31 @@ def _by_overlaps(camera: Camera, constraints: Constraints) -> int | None:
     count = max(2, math.ceil((high - low) / step))
     pitch = low + (np.arange(count) + 0.5) * (high - low) / count
     half_cell = (high - low) / count / 2
-    images, _ = fewest_images(camera, across, pitch, half_cell)
-    reach = highest_next(camera, upwards, pitch, half_cell)
     error = constraints.tolerance.pitch_deg + half_cell
     begins = np.minimum.accumulate(lowest_shown(camera, pitch)[::-1])[::-1] - error <= band.elevation_min_deg
     ends = np.maximum.accumulate(-lowest_shown(camera, -pitch)) + error >= band.elevation_max_deg
     capped = 90.0 - np.abs(pitch) <= camera.vfov_deg / 2 + half_cell
+    if np.any(begins & ends & capped):
+        return 1  # one image about a pole may show all of the band
+    images, _ = fewest_images(camera, across, pitch, half_cell)
+    reach = highest_next(camera, upwards, pitch, half_cell)
+    low_caps, top_caps = useful_caps(camera, band, pitch, error)
+    low_caps, top_caps = capped & low_caps & begins, capped & top_caps & ends
     first = np.where(begins, images, np.inf)
-    first = np.where(begins & capped & (pitch < 0), np.minimum(first, 2), first)
+    first = np.where(low_caps, np.minimum(first, 2), first)
     more = _more_at_end(camera, constraints.band.elevation_max_deg, pitch, images, error)
     last = np.where(ends, more, np.inf)
     more = _more_at_end(camera, -constraints.band.elevation_min_deg, -pitch, images, error)
     first = np.where(capped, first, first + more)
-    highest, _ = highest_after_caps(camera, across, upwards)
-    if low <= -90.0 + camera.vfov_deg / 2:
-        # after a cap of one image
-        first = np.where(pitch <= highest + half_cell, np.minimum(first, 1 + images), first)
-    if high >= 90.0 - camera.vfov_deg / 2:
-        last = np.where(-pitch <= highest + half_cell, np.minimum(last, 1), last)
-        # a cap of two images in place of a row
-        top = ends & capped & (pitch > 0)
-        images = np.where(top, np.minimum(images, 2), images)
-    if np.any(begins & ends & capped):
-        return 1  # one image about a pole may show all of the band
+    if np.any(low_caps | top_caps):
+        highest, _ = highest_after_caps(camera, across, upwards)
+        if np.any(low_caps):
+            # after a cap of one image
+            first = np.where(pitch <= highest + half_cell, np.minimum(first, 1 + images), first)
+        if np.any(top_caps):
+            last = np.where(-pitch <= highest + half_cell, np.minimum(last, 1), last)
+            # a cap of two images in place of a row
+            images = np.where(top_caps, np.minimum(images, 2), images)
     least = _shortest(first, images, last, reach)
     return None if not math.isfinite(least) else int(least)
 
@@ -121,19 +146,7 @@ def _more_at_end(camera: Camera, end_deg: float, pitch: FloatArray, images: Floa
     more = np.zeros(len(pitch))
     near = np.nonzero(np.abs(pitch - end_deg) <= camera.vfov_deg)[0]
     if len(near):
-        shown = _shown_deg(camera, pitch[near] - error_deg, end_deg, error_deg)
+        shown = grown_shown_deg(camera, pitch[near] - error_deg, error_deg, end_deg)
         wanted = np.ceil(360.0 / np.maximum(shown, 1e-3) - 1e-9)
         more[near] = np.maximum(wanted - images[near], 0.0)
     return np.minimum(more, 1.0)
-
-
-def _shown_deg(camera: Camera, pitch: FloatArray, elevation_deg: float, error_deg: float) -> FloatArray:
-    """Azimuths (k,) of a parallel that images show, of any pitch nearer than the error, rounded up; degrees."""
-    grown = math.radians(error_deg) * (1 + camera.half_width**2 + camera.half_height**2)
-    w, h = camera.half_width + grown, camera.half_height + grown
-    around = (np.arange(_AROUND) + 0.5) * math.pi / _AROUND
-    p, e = np.radians(pitch)[:, None], math.radians(elevation_deg)
-    ahead = math.cos(e) * np.cos(around) * np.cos(p) + math.sin(e) * np.sin(p)
-    down = math.cos(e) * np.cos(around) * np.sin(p) - math.sin(e) * np.cos(p)
-    inside = (ahead > 0) & (np.abs(down) <= h * ahead) & (math.cos(e) * np.sin(around) <= w * ahead)
-    return np.asarray(2 * (inside.sum(axis=1) + 3) * 180.0 / _AROUND)

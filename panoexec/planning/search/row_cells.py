@@ -13,7 +13,13 @@ from panoexec.optics import Camera
 from panoexec.planning.model import Constraints
 from panoexec.planning.search.parallels import core_shown_deg
 from panoexec.planning.search.row_layout import reachable_pitch
-from panoexec.planning.search.row_limits import fewest_images, highest_after_caps, highest_next, lowest_shown
+from panoexec.planning.search.row_limits import (
+    fewest_images,
+    highest_after_caps,
+    highest_next,
+    lowest_shown,
+    useful_caps,
+)
 
 IntArray = NDArray[np.intp]
 BoolArray = NDArray[np.bool_]
@@ -76,11 +82,13 @@ def cells_of(camera: Camera, constraints: Constraints, per_vfov: int) -> Cells:
     reach = np.searchsorted(lowest, shown_to, side="right") - 1
     if upwards > 0:
         reach = np.minimum(reach, highest_next(camera, upwards, middle, half))
+    polar = 90.0 - np.abs(middle) <= vfov / 2 + half
+    low_caps, top_caps = useful_caps(camera, band, middle, half + constraints.tolerance.pitch_deg)
+    low_caps, top_caps = polar & low_caps & begins, polar & top_caps & ends
     after_caps = 180.0, 180.0
-    if across > 0 and upwards > 0:
+    if across > 0 and upwards > 0 and np.any(low_caps | top_caps):
         one, two = highest_after_caps(camera, across, upwards)
         after_caps = one + half, two + half
-    polar = 90.0 - np.abs(middle) <= vfov / 2 + half
     ends_deg = np.array([band.elevation_min_deg, band.elevation_max_deg])
     between = np.arange(math.ceil(ends_deg[0] * _PARALLELS / vfov), ends_deg[1] * _PARALLELS / vfov) * vfov / _PARALLELS
     elevations = np.unique(np.concatenate([between, ends_deg]))
@@ -96,8 +104,8 @@ def cells_of(camera: Camera, constraints: Constraints, per_vfov: int) -> Cells:
         after_caps=after_caps,
         elevations=elevations,
         shown=core_shown_deg(camera, constraints.tolerance, middle, half, elevations),
-        low_caps=polar & (middle < 0) & begins,
-        top_caps=polar & (middle > 0) & ends,
+        low_caps=low_caps,
+        top_caps=top_caps,
         begins=begins,
         ends=ends,
     )

@@ -22,17 +22,22 @@ import math
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from panoexec.angles import FloatArray, rotation
 from panoexec.optics import Camera
 from panoexec.planning.geometry.overlap import pairwise_overlap
+from panoexec.planning.model import Band
+
+BoolArray = NDArray[np.bool_]
 
 _COARSE_NODES, _NODES, _QUANTILE_NODES = 121, 1201, 1441
 """Pitches, 0 to 90° and -90° to 90°, at which the widest spacing and the quantiles are computed."""
 _COLUMNS = 16
 _BISECTIONS = 26
 _CLOSE_RAD = 2e-4
-_MOST_SCANS = 120
+_MOST_SCANS, _FEW_LEFT = 120, 0.02
+"""The scan of spacings ends after so many steps, or with this part of the nodes left, which stay at what is known."""
 _INTERPOLATION_DEG = 0.01
 """Slack for the interpolation of quantiles between nodes, which are smooth in the pitch."""
 _CAP_STEPS, _CAP_TILTS, _CAP_YAWS, _CAP_ASIDE = 100, 9, 25, 9
@@ -79,7 +84,7 @@ def _widest(camera: Camera, across: float, nodes: FloatArray, yaw: FloatArray, a
         going = step > _CLOSE_RAD
         yaw[todo[going]] -= step[going]
         todo = todo[going]
-        if not len(todo):
+        if len(todo) <= _FEW_LEFT * len(nodes):
             break
     return yaw
 
@@ -127,6 +132,21 @@ def lowest_shown(camera: Camera, pitch: FloatArray) -> FloatArray:
     found = (sine - down * cosine) / np.sqrt(1 + across**2 + down**2)
     lowest = np.degrees(np.arcsin(np.clip(found.min(axis=(0, 1)), -1.0, 1.0)))
     return np.where(pitch - camera.vfov_deg / 2 <= -90.0, -90.0, lowest)
+
+
+def useful_caps(camera: Camera, band: Band, pitch: FloatArray, error_deg: float) -> tuple[BoolArray, BoolArray]:
+    """Which pitches (k,) images about the nadir, and about the zenith, may have that show anything of a band.
+
+    Without the others a plan has fewer images, and the next row begins, or ends, the band.
+
+    Args:
+        camera: the camera.
+        band: to cover.
+        pitch: of the images.
+        error_deg: how far the pitch may be from these.
+    """
+    low = (pitch < 0) & (-lowest_shown(camera, -pitch) + error_deg >= band.elevation_min_deg)
+    return low, (pitch > 0) & (lowest_shown(camera, pitch) - error_deg <= band.elevation_max_deg)
 
 
 def quantile(camera: Camera, share: float, pitch: FloatArray) -> FloatArray:
@@ -187,14 +207,20 @@ def highest_after_caps(camera: Camera, across: float, upwards: float) -> tuple[f
     # at this yaw or farther
     seen = np.maximum.accumulate(seen[:, :, ::-1], axis=2)[:, :, ::-1] * whole
     half = np.minimum(fewest_images(camera, across, candidates, step)[1], 180.0) / 2
-    one, two = np.zeros(_CAP_STEPS), np.zeros(_CAP_STEPS)
-    for k in range(_CAP_STEPS):
-        aside = half[k] * np.linspace(0.0, 1.0, _CAP_ASIDE)
-        near, far = 90.0 - aside, np.minimum(90.0 + aside, 180.0 - aside)
-        for shares in seen[:, k]:
-            one[k] = max(one[k], float(np.interp(180.0 - half[k], yaws, shares)))
-            two[k] = max(two[k], float((np.interp(near, yaws, shares) + np.interp(far, yaws, shares)).max()))
+    aside = half[:, None] * np.linspace(0.0, 1.0, _CAP_ASIDE)
+    near, far = 90.0 - aside, np.minimum(90.0 + aside, 180.0 - aside)
+    one = _at_yaws(seen, 180.0 - half[:, None]).max(axis=(0, 2))
+    two = (_at_yaws(seen, near) + _at_yaws(seen, far)).max(axis=(0, 2))
     return (
         float(candidates[one >= upwards - _CAP_SLACK].max(initial=-90.0) + step),
         float(candidates[two >= upwards - 2 * _CAP_SLACK].max(initial=-90.0) + step),
     )
+
+
+def _at_yaws(seen: FloatArray, yaw_deg: FloatArray) -> FloatArray:
+    """What is seen (t, k, n) at yaws (k, n), by linear interpolation of samples (t, k, m) at 0 to 180°."""
+    last = seen.shape[2] - 1
+    x = yaw_deg / 180.0 * last
+    i = np.clip(x.astype(np.intp), 0, last - 1)
+    left, right = (np.take_along_axis(seen, np.broadcast_to(j, (len(seen), *j.shape)), axis=2) for j in (i, i + 1))
+    return np.asarray(left + (x - i) * (right - left))

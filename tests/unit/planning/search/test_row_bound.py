@@ -20,7 +20,14 @@ from panoexec.planning.model import NO_TOLERANCE, AngleBox, Band, Constraints, T
 from panoexec.planning.search.parallels import core_shown_deg, shown_deg
 from panoexec.planning.search.row_bound import least_images_in_rows
 from panoexec.planning.search.row_cells import closing_deg
-from panoexec.planning.search.row_limits import fewest_images, highest_after_caps, lowest_shown, quantile, yaw_rate
+from panoexec.planning.search.row_limits import (
+    fewest_images,
+    highest_after_caps,
+    lowest_shown,
+    quantile,
+    useful_caps,
+    yaw_rate,
+)
 from panoexec.planning.skyline import Skyline
 from tests.unit.planning.brute import Array
 
@@ -181,6 +188,25 @@ def test_rows_above_the_highest_after_caps_lack_overlap(fov: tuple[float, float]
             row = rotation(np.arange(count) * 360.0 / count + rng.uniform(0, 90), np.full(count, pitch))
             partners = np.broadcast_to(cap, (count, caps, 3, 3))
             assert union_overlap(camera, row, partners).min() < overlap
+
+
+def test_only_caps_that_show_something_of_the_band_are_useful() -> None:
+    camera, pitch = Camera.from_fov(40.0, 30.0), np.linspace(-90.0, 90.0, 361)
+    band = Band(elevation_min_deg=-60.0, elevation_max_deg=55.0)
+    low, top = useful_caps(camera, band, pitch, 0.0)
+    assert not top[pitch > 55.0 + 30.0].any()
+    caps = np.abs(pitch) >= 75.0
+    for p, useful in zip(pitch[caps].tolist(), (low | top)[caps].tolist(), strict=True):
+        shows = shown_deg(camera.half_width, camera.half_height, p, np.linspace(-60.0, 55.0, 200)).max() > 0
+        assert useful or not shows
+    assert not low[pitch == -90.0].any()
+
+
+def test_a_cap_beside_the_band_does_not_lower_the_bound() -> None:
+    # with caps that see nothing of the band, and take two images, it would be 57
+    found = least_images_in_rows(Camera.from_fov(30.0, 20.0), asked(0.0, -50, 40))
+    assert found is not None
+    assert found >= 58
 
 
 def test_neighbours_farther_apart_than_the_widest_spacing_never_overlap_enough() -> None:

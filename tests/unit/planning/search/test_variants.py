@@ -16,7 +16,7 @@ from panoexec.optics import Camera
 from panoexec.planning.certificate.adjacency import MUTUAL_OVERLAP
 from panoexec.planning.geometry.overlap import pairwise_overlap, union_overlap
 from panoexec.planning.model import NO_TOLERANCE, Band, Certificate, Constraints, Tolerance
-from panoexec.planning.search import planner
+from panoexec.planning.search import planner, verdicts
 from panoexec.planning.search.proposal import verdict
 from panoexec.planning.search.row_constraints import Demands, Loss
 from panoexec.planning.search.variants import Variant, can_tie, variants, worst_loss
@@ -223,7 +223,7 @@ class TestLongLenses:
             judged.append(verdict(*asked, **options))
             return judged[-1]
 
-        monkeypatch.setattr(planner, "verdict", judge)
+        monkeypatch.setattr(verdicts, "verdict", judge)
         monkeypatch.setattr(planner, "_MANY_IMAGES", 1)  # no search for fewer images afterwards
         constraints = asked(full_circle(-6.0, 6.0), overlap=(0.15, 0.15), tolerance=POINTING)
         plan = planner.plan_certified(TELE, constraints)
