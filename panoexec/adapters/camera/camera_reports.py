@@ -141,12 +141,22 @@ class CameraReports:
             await asyncio.gather(self._bounding, return_exceptions=True)
 
     async def relate(self) -> None:
-        """Relate the camera's clock to the mission's by as many round trips as are needed; before its first photo."""
+        """Relate the camera's clock to the mission's by as many round trips as are needed; before its first photo.
+
+        Raises:
+            DeviceError: the camera does not acknowledge a request, and has not before.
+        """
         vain = 0
         for _ in range(ENOUGH_TRIPS + 2 * _VAIN_TRIPS):  # a clock that is stepped again and again is never related
             if self.stamps.trips >= ENOUGH_TRIPS or vain == _VAIN_TRIPS:
                 break
-            vain = 0 if await self._make_trip() else vain + 1
+            try:
+                proven = await self._make_trip()
+            except DeviceError:
+                if not self.stamps.trips:
+                    raise
+                proven = False  # a camera that has answered: a request or its acknowledgement was lost
+            vain = 0 if proven else vain + 1
         if self.stamps.trips and (self._bounding is None or self._bounding.done()):
             self._bounding = asyncio.create_task(self._make_trips(_SPREAD_S), name="camera clock")
 

@@ -315,3 +315,42 @@ def test_a_clock_that_is_stepped_again_and_again_holds_up_no_mission(monkeypatch
 
     run_virtual(relates())
     assert len(made) > 5
+
+
+def test_a_request_that_is_lost_does_not_end_the_round_trips(monkeypatch: pytest.MonkeyPatch) -> None:
+    link, out = ScriptedLink(Habits(), random.Random(2)), Flown()
+    made: list[int] = []
+
+    async def relates() -> None:
+        reports = CameraReports(link, component=CAMERA, mib_per_image=None)  # type: ignore[arg-type]
+        reports.found = MavlinkCameraFound(component=CAMERA)
+        reports.subscribe()
+        command = link.command
+
+        async def sometimes(*args: Any, **options: Any) -> int:
+            made.append(1)
+            if len(made) == 3:
+                raise DeviceError("not answered")
+            return await command(*args, **options)
+
+        monkeypatch.setattr(link, "command", sometimes)
+        await reports.relate()
+        await link.clock.sleep(5.0)  # those that follow at intervals
+        link.shoot(partial(check, reports, out, link.clock.monotonic()))
+        await link.clock.sleep(1.0)
+        await reports.close()
+
+    run_virtual(relates())
+    assert len(made) > 3
+    assert (out.bounded, out.wrong_s) == (1, [])
+
+
+def test_a_camera_that_never_acknowledges_is_told() -> None:
+    async def relates() -> None:
+        link = ScriptedLink(Habits(lost=1.0), random.Random(1))
+        reports = CameraReports(link, component=CAMERA, mib_per_image=None)  # type: ignore[arg-type]
+        reports.found = MavlinkCameraFound(component=CAMERA)
+        await reports.relate()
+
+    with pytest.raises(DeviceError):
+        run_virtual(relates())
