@@ -84,7 +84,22 @@ def rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike, roll_deg: ArrayLike = 0.0
     yaw, pitch, roll = np.broadcast_arrays(
         np.asarray(yaw_deg, np.float64), np.asarray(pitch_deg, np.float64), np.asarray(roll_deg, np.float64)
     )
-    return np.asarray(_axis_rotation(2, yaw) @ _axis_rotation(0, roll) @ _axis_rotation(1, pitch))
+    yaw, pitch, roll = np.radians(yaw), np.radians(pitch), np.radians(roll)
+    cos_y, sin_y, cos_p, sin_p = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch)
+    cos_r, sin_r = np.cos(roll), np.sin(roll)
+    # Rx(roll) · Ry(pitch) has the rows (cos p, 0, sin p), (sin r·sin p, cos r, -sin r·cos p), and the third one below
+    tilted, ahead = sin_r * sin_p, -sin_r * cos_p
+    out = np.empty((*yaw.shape, 3, 3))
+    out[..., 0, 0] = cos_y * cos_p - sin_y * tilted
+    out[..., 0, 1] = -sin_y * cos_r
+    out[..., 0, 2] = cos_y * sin_p - sin_y * ahead
+    out[..., 1, 0] = sin_y * cos_p + cos_y * tilted
+    out[..., 1, 1] = cos_y * cos_r
+    out[..., 1, 2] = sin_y * sin_p + cos_y * ahead
+    out[..., 2, 0] = -cos_r * sin_p
+    out[..., 2, 1] = sin_r
+    out[..., 2, 2] = cos_r * cos_p
+    return out
 
 
 def yaw_pitch_roll(rotations: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -25,6 +25,9 @@ ROUNDING_DEG = 1e-5
 
 _LEVEL = 1e-12
 
+_AT_A_TIME = 1 << 15
+"""Pairs of a half-space and a meridian processed at a time, so that they fit the processor's cache."""
+
 
 class CoreEdges:
     """The edge planes of images at the corners of the error box.
@@ -38,17 +41,26 @@ class CoreEdges:
         yaws = (-tolerance.yaw_deg, 0.0, tolerance.yaw_deg) if tolerance.yaw_deg else (0.0,)
         rolls = (-tolerance.roll_deg, tolerance.roll_deg) if tolerance.roll_deg else (0.0,)
         pitches = (-tolerance.pitch_deg, tolerance.pitch_deg) if tolerance.pitch_deg else (0.0,)
-        self._errors = np.array(list(itertools.product(yaws, rolls, pitches)))
+        self._tilts = np.array(pitches)
+        turns = np.array(list(itertools.product(yaws, rolls)))
+        self._turns = None if len(turns) == 1 else np.swapaxes(rotation(turns[:, 0], 0.0, turns[:, 1]), -1, -2)
         radians = np.radians([tolerance.yaw_deg, tolerance.roll_deg, tolerance.pitch_deg])
         self.allowance_deg = ROUNDING_DEG + float(np.degrees((radians**2).sum() / 2))
 
     def planes(self, pitch_deg: ArrayLike) -> FloatArray:
         """World normals (..., k, 3) of the edge planes of images at yaw 0 and the given pitch (...)."""
-        pitch = np.asarray(pitch_deg, dtype=np.float64)[..., None]
-        yaw, roll, tilt = self._errors.T
-        turned = rotation(yaw, pitch + tilt, roll)
-        planes = self._normals @ np.swapaxes(turned, -1, -2)
-        return np.asarray(planes.reshape(*pitch.shape[:-1], 4 * len(self._errors), 3))
+        tilted = np.radians(np.asarray(pitch_deg, dtype=np.float64)[..., None] + self._tilts)[..., None]
+        sine, cosine = np.sin(tilted), np.cos(tilted)
+        x, y, z = self._normals.T
+        planes = np.empty((*tilted.shape[:-1], len(x), 3))
+        planes[..., 0] = cosine * x + sine * z
+        planes[..., 1] = y
+        planes[..., 2] = cosine * z - sine * x
+        # of each image, those of all tilts: (..., 1, planes, 3)
+        planes = planes.reshape(*tilted.shape[:-2], 1, len(self._tilts) * len(x), 3)
+        if self._turns is not None:
+            planes = planes @ self._turns
+        return np.asarray(planes.reshape(*planes.shape[:-3], planes.shape[-3] * planes.shape[-2], 3))
 
     def intervals(self, pitch_deg: ArrayLike, azimuth_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Elevations on meridians that images cover for every error.
@@ -68,12 +80,28 @@ def meridian_intervals(
     planes: FloatArray, azimuth_deg: ArrayLike, allowance_deg: float
 ) -> tuple[FloatArray, FloatArray]:
     """Intervals (..., m) of elevations on meridians (..., m) inside half-spaces (..., k, 3), see the module."""
-    azimuth = np.radians(np.asarray(azimuth_deg, dtype=np.float64))[..., None, :]
-    level = planes[..., 0, None] * np.cos(azimuth) + planes[..., 1, None] * np.sin(azimuth)
-    steep = planes[..., 2, None]
-    slope = level / np.where(np.abs(steep) > _LEVEL, steep, 1.0)
-    upper = np.where(steep > _LEVEL, slope, np.where((np.abs(steep) <= _LEVEL) & (level < 0), -np.inf, np.inf))
-    lower = np.where(steep < -_LEVEL, slope, -np.inf)
+    azimuth_deg = np.asarray(azimuth_deg, dtype=np.float64)
+    step = max(1, _AT_A_TIME // (planes.shape[-2] * azimuth_deg.shape[-1]))
+    if planes.ndim != 3 or len(planes) <= step:
+        return _intervals(planes, azimuth_deg, allowance_deg)
+    parts = [
+        _intervals(planes[s], azimuth_deg[s], allowance_deg)
+        for s in (slice(start, start + step) for start in range(0, len(planes), step))
+    ]
+    return np.concatenate([low for low, _ in parts]), np.concatenate([high for _, high in parts])
+
+
+def _intervals(planes: FloatArray, azimuth_deg: FloatArray, allowance_deg: float) -> tuple[FloatArray, FloatArray]:
+    azimuth = np.radians(azimuth_deg)[..., None, :]
+    steep = planes[..., 2]
+    level = np.abs(steep) <= _LEVEL
+    scaled = planes[..., :2] / np.where(level, 1.0, steep)[..., None]
+    slope = scaled[..., 0, None] * np.cos(azimuth)
+    slope += scaled[..., 1, None] * np.sin(azimuth)
+    upper = slope + np.where(steep > _LEVEL, 0.0, np.inf)[..., None]
+    if level.any():
+        upper[level[..., None] & (slope < 0)] = -np.inf
+    lower = slope - np.where(steep < -_LEVEL, 0.0, np.inf)[..., None]
     high = np.degrees(np.arctan(upper.min(axis=-2)))
     low = np.degrees(np.arctan(lower.max(axis=-2)))
     # a pole is covered if it is deep enough inside all edge planes; the interval then includes it

@@ -75,13 +75,16 @@ def _columns_seen(
     across = nodes * w
     lows = np.full((*yaws_deg.shape, columns), -h)
     highs = np.full((*yaws_deg.shape, columns), h)
+    border = np.empty_like(lows)
     ahead, right, down = _axes(pitch_deg, row_pitch_deg, yaws_deg)
     for plane in (h * ahead + down, h * ahead - down, w * ahead + right, w * ahead - right):
-        # constant + slope·z ≥ 0 in the column
-        slope = np.where(np.abs(plane[..., 2]) > _PARALLEL, plane[..., 2], _PARALLEL)[..., None]
-        border = (plane[..., 0, None] + plane[..., 1, None] * across) / -slope
-        lows = np.where(slope > 0, np.maximum(lows, border), lows)
-        highs = np.where(slope < 0, np.minimum(highs, border), highs)
+        # constant + slope·z ≥ 0 in the column: a border below where the slope is positive, and else above
+        slope = np.where(np.abs(plane[..., 2]) > _PARALLEL, plane[..., 2], _PARALLEL)
+        inclined, constant = plane[..., 1] / -slope, plane[..., 0] / -slope
+        np.multiply(inclined[..., None], across, out=border)
+        np.maximum(lows, border + np.where(slope > 0, constant, -np.inf)[..., None], out=lows)
+        border += np.where(slope < 0, constant, np.inf)[..., None]
+        np.minimum(highs, border, out=highs)
     seen = highs > lows
     lows, highs = np.where(seen, lows, h), np.where(seen, highs, h)
     if yaws_deg.shape[1] > 1:

@@ -135,8 +135,11 @@ class RowRelaxation:
         for more in range(self._more_images):
             _, high = rules.band(grid[near], fewest[near] + more)
             # half a grid step higher, the row may just reach the end
-            done = near[(high >= top - self._step) & np.isinf(closing[near])]
-            closing[done] = fewest[done] + more
+            reaches = high >= top - self._step
+            closing[near[reaches]] = fewest[near[reaches]] + more
+            near = near[~reaches]
+            if not len(near):
+                break
         return closing
 
     def _solve(self, steps_deg: FloatArray) -> FloatArray:
