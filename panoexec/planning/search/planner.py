@@ -1,6 +1,7 @@
 """The certified planner: it minimises the number of images, then the time, and returns a certified plan or an error.
 
     plan_certified → variants of the demands on rows (`panoexec.planning.search.variants`)
+                   → trials of each (`panoexec.planning.search.trials`):
                    → rows by a shortest path (`panoexec.planning.search.row_search`), in ascending number of images
                    → slack distributed, rows rotated (`panoexec.planning.search.row_refinement`)
                    → rows that lack a little, image by image (`panoexec.planning.search.uneven_rows`)
@@ -13,8 +14,7 @@ or column, which is a chain in which every edge is a bridge) the search is repea
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 from panoexec.errors import PlanningError
@@ -25,34 +25,24 @@ from panoexec.planning.model import Constraints, GimbalLimits, Plan, Timing
 from panoexec.planning.order.duration import estimate
 from panoexec.planning.order.shot_order import Order, order_shots
 from panoexec.planning.reach import check_reachable
-from panoexec.planning.request import MAX_IMAGES, check_request
+from panoexec.planning.request import check_request
 from panoexec.planning.search.budget import BudgetSpentError, SearchBudget
 from panoexec.planning.search.infeasible import empty_cores, excessive_overlap, infeasibility_error, nothing_to_cover
 from panoexec.planning.search.lower_bounds import LowerBounds
-from panoexec.planning.search.proposal import Found, Lack, missing, reindexed, row_shots, verdict
+from panoexec.planning.search.proposal import Found, reindexed, verdict
 from panoexec.planning.search.row_constraints import RowConstraints
-from panoexec.planning.search.row_refinement import Rows, refine
-from panoexec.planning.search.row_seam import optimise_seam
-from panoexec.planning.search.row_search import Label, searches
 from panoexec.planning.search.siblings import siblings
 from panoexec.planning.search.thinning import drop_redundant_shots, trim_band
+from panoexec.planning.search.trials import Trials
 from panoexec.planning.search.uneven_rows import uneven_rows
 from panoexec.planning.search.variants import Variant, can_tie, variants
 from panoexec.planning.search.verdicts import TimedVerdicts, ordering_s
 
-_LABELS_TRIED = 3
-"""Number of solutions of one total that are certified before a larger total is tried."""
-
-_MOST_TRIED, _MOST_TRIED_MANY = 9, 1
-_ROUNDS = 4
-_FACTOR = 4.0
-"""Maximum number of repeated searches where C1 or C3 fails; each increases the margin by this factor."""
-
-_WORK, _LEAST_WORK = 6, 600
-"""Budget of certified images per search: this multiple of the plan's images, and at least this number."""
-
 _MORE_WORK, _LEAST_WORK_ON = 1.5, 1000
 """Once a plan is certified, the search goes on for fewer images up to this multiple of the work, or of this number."""
+
+_MENDED_WORK = 1.5
+"""Times as far if what is certified is a proposal that was mended: others often need fewer images."""
 
 _SET_UP_WORK = 400
 """What it takes to begin with other demands, as work."""
@@ -68,17 +58,6 @@ _MUCH_OVERLAP = 0.1
 
 _LAST_GROUP_ON = 3
 """Variants that are tried for fewer images: stronger demands than these seldom need fewer."""
-
-_LOOSE_TRIED = 6
-"""Number of plans that fail only C4 after which stronger demands are tried."""
-
-_RETRIES = 2
-_MARGIN_MANY = 2e-3
-"""Margin for plans of very many rows. Without, the rows about the poles lack up to 0.0016, and the search, which takes
-most of the time, is repeated; 0.002 costs no more images than the repetition does."""
-
-_THINNING_VERDICTS = 12
-"""Verdicts for which time is kept where masks may make images redundant."""
 
 
 def plan_certified(
@@ -151,8 +130,7 @@ class _Planner:
         self._budget = budget or SearchBudget()
         self._bounds = LowerBounds(camera, constraints, self._budget)
         self.verdicts = TimedVerdicts(camera, self._budget)
-        self._best: Found | None = None
-        self._spent = 0
+        self._trials = Trials(self._constraints, self.verdicts, self._budget, masked=bool(constraints.masks))
         self._tried: dict[tuple[object, ...], bool] = {}
 
     def best(self) -> Found:
@@ -164,12 +142,13 @@ class _Planner:
         cut = False
         try:
             group = self._search(self._constraints)
-            if self._best is not None:
+            if self._trials.best is not None:
                 self._search_on(group)
                 self._search_uneven()
         except BudgetSpentError:
             cut = True
-        if self._best is None:
+        self._trials.take_mended()
+        if self._trials.best is None:
             if cut:
                 raise PlanningError(
                     f"no plan was found within the budget of {self._budget.seconds:g} s of processor time: "
@@ -177,7 +156,7 @@ class _Planner:
                 )
             self._budget.reserve(0.0)
             raise infeasibility_error(self._camera, self._constraints, self._budget)
-        best = replace(self._best, cut=cut)
+        best = replace(self._trials.best, cut=cut)
         if self._asked.masks and best.certificate.certified:
             return self._without_redundant(best)
         return best
@@ -206,38 +185,40 @@ class _Planner:
 
     def _search(self, constraints: Constraints) -> int:
         """Search with every set of demands, the weakest first, until a plan is certified; return the last group."""
-        group, closes, self._spent = 0, False, 0
+        group, closes, self._trials.spent = 0, False, 0
         left: Variant | None = None
         for variant in variants(self._camera, constraints):
             if variant.group == 0 and not can_tie(self._camera, constraints, variant.demands):
                 left = variant  # this search alone may use up the budget
                 continue
-            if (self._best_images is not None and variant.group > group) or self._many_certified:
+            if (self._trials.best_images is not None and variant.group > group) or self._trials.many_certified:
                 break
             group = variant.group
             closes = self._try_variant(constraints, variant, within_band=group >= _ONLY_FOR_TIES) or closes
             if not closes and group == 1:
                 break  # all other variants have stronger demands
-        if left is not None and self._best is None:
+        if left is not None and self._trials.best is None:
             self._try_variant(constraints, left)
-        if closes and self._best_images is None and not self._many_certified:
+        if closes and self._trials.best_images is None and not self._trials.many_certified:
             # rows beyond the band's ends, which only tie others, where nothing else is certified
             for variant in variants(self._camera, constraints):
-                if variant.group >= _ONLY_FOR_TIES and self._best_images is None:
+                if variant.group >= _ONLY_FOR_TIES and self._trials.best_images is None:
                     self._try_variant(constraints, variant)
         return group
 
     def _search_on(self, group: int) -> None:
         """Search for fewer images with stronger demands, and of slightly stricter requests, as far as the work allows.
 
-        The work allowed is a multiple of that of the search before, unless nothing is certified yet.
+        The work allowed is a multiple of that of the search before, unless nothing at all is certified yet.
         """
-        if self._best_images is not None and self._best_images >= _MANY_IMAGES:
+        if self._trials.best_images is not None and self._trials.best_images >= _MANY_IMAGES:
             return
         allowed = _MORE_WORK * max(self._budget.work, _LEAST_WORK_ON)
         for constraints, variant in self._further(group):
-            images = self._best_images
+            images = self._trials.best_images
             if images is not None and (self._budget.work > allowed or images <= self._bounds.in_rows(images)):
+                return
+            if self._trials.mended is not None and self._budget.work > _MENDED_WORK * allowed:
                 return
             self._try_variant(constraints, variant, within_band=variant.group >= _ONLY_FOR_TIES)
 
@@ -245,28 +226,28 @@ class _Planner:
         """Search for fewer images in rows that are not even."""
 
         def images() -> int:
-            return self._best_images or 0
+            return self._trials.best_images or 0
 
         for shots in uneven_rows(self._camera, self._asked, images, enough=self._bounds.of_any, budget=self._budget):
             certificate = self.verdicts.on(self._asked, shots)
             if certificate.certified:
-                self._keep(Found(shots, certificate))
+                self._trials.keep(Found(shots, certificate))
 
     def _further(self, group: int) -> Iterator[tuple[Constraints, Variant]]:
         """What to try after the search of the request itself, which ended at a group of variants."""
-        certified = self._best_images is not None
+        certified = self._trials.best_images is not None
         asked = self._constraints
         if certified and min(asked.overlap_h, asked.overlap_v) < _MUCH_OVERLAP:
             own = [v for v in variants(self._camera, self._constraints) if group < v.group <= _LAST_GROUP_ON]
             yield from ((self._constraints, variant) for variant in reversed(own))
         for sibling in siblings(self._constraints):
-            self._spent = 0
+            self._trials.spent = 0
             for variant in variants(self._camera, sibling):
                 if not certified or variant.group == group:
                     yield sibling, variant
 
     def _try_variant(self, constraints: Constraints, variant: Variant, *, within_band: bool = False) -> bool:
-        """`_try` with the demands of a variant, and with no row outside the band, if its images only tie others."""
+        """A trial with the demands of a variant, and with no row outside the band, if its images only tie others."""
         self._budget.use()
         rules = RowConstraints(
             self._camera, constraints, variant.demands, variant.loss, budget=self._budget, within_band=within_band
@@ -274,107 +255,5 @@ class _Planner:
         signature = rules.signature()
         if signature not in self._tried:
             self._budget.use(_SET_UP_WORK)
-            self._tried[signature] = self._try(rules)
+            self._tried[signature] = self._trials.with_rules(rules)
         return self._tried[signature]
-
-    def _try(self, rules: RowConstraints) -> bool:
-        """Search a certified plan with fewer images than the best so far; return whether any rows cover the band."""
-        rules = optimise_seam(rules)
-        margin = _MARGIN_MANY if rules.many else 0.0
-        closes = False
-        for _ in range(_ROUNDS):
-            solutions = self._solutions(rules, margin)
-            closes = closes or bool(solutions)
-            lack = self._try_solutions(rules, solutions, margin)
-            if lack is None:
-                break
-            # search again, with what is missing added: other counts may result
-            if lack.across > 0:
-                rules = rules.with_more_overlap(lack.across, worst=self._constraints.guarantee == "all")
-            if lack.margin > 0:
-                margin = max(margin + lack.margin, _FACTOR * margin)
-        return closes
-
-    def _solutions(self, rules: RowConstraints, margin: float) -> list[Label]:
-        fewer_than = self._best_images or MAX_IMAGES + 1
-        for search in searches(rules, wanted=margin):
-            if search.least_images is None or search.least_images >= fewer_than:
-                continue
-            if search.least_images > MAX_IMAGES:
-                raise PlanningError(
-                    f"the plan needs at least {search.least_images} images, more than the limit of {MAX_IMAGES}: "
-                    "ask for less overlap, a smaller band or a shorter focal length"
-                )
-            solutions = search.solutions(retry=self._best_images is None, fewer_than=fewer_than)
-            if solutions:
-                return solutions
-        return []
-
-    def _try_solutions(self, rules: RowConstraints, solutions: Sequence[Label], margin: float) -> Lack | None:
-        """Certify solutions; return the least that is missing for C1 to C3 if nothing else fails, else None."""
-        tried = loose = 0
-        lacks: list[Lack] = []
-        for label in _first_of_each_total(solutions):
-            if self._best_images is not None and label.images >= self._best_images:
-                return None
-            found = self._certify_label(rules, label, margin)
-            if found is None:
-                continue
-            if self._best is None or found.rank < self._best.rank:
-                self._keep(found)
-            if found.certificate.certified or self._many_certified:
-                return None
-            lack = missing(found.certificate, self._constraints)
-            lacks += [] if lack is None else [lack]
-            tried += 1
-            loose += not found.certificate.two_edge_connected
-            if not found.certificate.connected:
-                loose += _LOOSE_TRIED // (1 if rules.many else 2)
-            if loose >= _LOOSE_TRIED or tried >= (_MOST_TRIED_MANY if rules.many else _MOST_TRIED):
-                break
-        return min(lacks, key=lambda lack: (lack.across, lack.margin), default=None)
-
-    @property
-    def _best_images(self) -> int | None:
-        """Number of images of the best certified plan so far."""
-        return len(self._best.shots) if self._best is not None and self._best.certificate.certified else None
-
-    @property
-    def _many_certified(self) -> bool:
-        """Whether enough proposals of one search were certified."""
-        return self._best is not None and self._spent > _WORK * max(_LEAST_WORK, len(self._best.shots))
-
-    def _certify_label(self, rules: RowConstraints, label: Label, margin: float) -> Found | None:
-        """Refine and certify the rows of a label; None if they do not reach the top of the band."""
-        found: Found | None = None
-        for _ in range(1 + _RETRIES):
-            rows = refine(rules, label.path(), margin)
-            if rows is None:
-                break
-            found = self._certify(rules, rows)
-            lack = None if found.certificate.certified else missing(found.certificate, self._constraints)
-            if lack is None or lack.across > 0:
-                break
-            margin = rows.margin + lack.margin
-        return found
-
-    def _certify(self, rules: RowConstraints, rows: Rows) -> Found:
-        shots = row_shots(rules, rows)
-        self._spent += len(shots)
-        return Found(shots, self.verdicts.on(self._constraints, shots))
-
-    def _keep(self, found: Found) -> None:
-        """Take a plan for the best, and keep the time that it takes to complete it."""
-        self._best = found
-        images = len(found.shots)
-        after = ordering_s(images)
-        if not found.certificate.certified:
-            after = self.verdicts.explaining_s(images)
-        elif self._asked.masks:
-            after += _THINNING_VERDICTS * self.verdicts.one_s(images)
-        self._budget.reserve(after)
-
-
-def _first_of_each_total(solutions: Sequence[Label]) -> Iterator[Label]:
-    for _, group in itertools.groupby(solutions, key=lambda label: label.images):
-        yield from itertools.islice(group, _LABELS_TRIED)
