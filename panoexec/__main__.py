@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 
 def main() -> None:
     """Run the command line and exit with its code."""
+    # before numpy is imported: its matrices are small here, and the threads of a busy machine wait for each other
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from panoexec.cli.app import run  # noqa: PLC0415  (keeps `import panoexec` light)
 
     if sys.platform == "win32":  # paho-mqtt's sockets are watched by readiness, which the default loop there cannot do
