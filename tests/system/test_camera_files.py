@@ -125,7 +125,7 @@ async def test_a_mission_ends_complete_with_every_photo_hashed_in_its_directory(
 
 async def test_what_was_under_way_when_the_daemon_was_killed_is_brought_after_its_restart(tmp_path: Path) -> None:
     port, card = free_udp_port(), tmp_path / "card"
-    slow = ["camera.files=http", "camera.files_kb_s=4", "camera.render_width_px=160"]
+    slow = ["camera.files=http", "camera.files_kb_s=1", "camera.render_width_px=160"]
     simulation = settings.changed(SimConfig(port=port, speedup=_SPEEDUP, output=card), slow)
     more = '[camera]\nfile_hosts = ["127.0.0.1"]\n[pictures]\nthumbnails = "off"\ncheck = "off"\n'
     with running_broker(tmp_path) as broker:
