@@ -299,6 +299,7 @@ def test_texts_that_try_to_run_are_shown_and_do_not_run(page: Browser, server: P
     ]
     server.vehicles = {"drone": told, "other": vehicle("other", state=state(name=HOSTILE, reason=HOSTILE))}
     page.visit(f"{server.url}/v/drone")
+    page.until(f"Number({BALL}.shots) > 0")
     page.key("j")
     page.until(f"{BALL}.chosen === '0'")
     page.until("document.querySelector('h1').innerText.includes('<script>')")
@@ -401,6 +402,7 @@ def test_everybody_can_use_it(page: Browser, server: PageServer, width: int, dar
     page.show(width=width, dark=dark, phone=width < 500)
     server.vehicles = {"drone": midway(), "other": vehicle("other", status="offline")}
     page.visit(f"{server.url}/v/drone")
+    page.until(f"Number({BALL}.shots) > 0")
     page.key("j")
     page.until(f"{BALL}.chosen === '0'")
     found = {"live": problems(page)}

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import aiohttp
 import pytest
+from aiohttp.abc import AbstractResolver, ResolveResult
 from yarl import URL
 
 from panoexec.errors import UsageError
@@ -263,6 +264,19 @@ async def test_a_thousand_connections_that_say_nothing_keep_nobody_out(broker: B
             writer.close()
 
 
+class LocalHost(AbstractResolver):
+    """Resolves every name to this machine: not every machine has a name of its own in /etc/hosts."""
+
+    async def resolve(
+        self, host: str, port: int = 0, family: socket.AddressFamily = socket.AF_INET
+    ) -> list[ResolveResult]:
+        del family
+        return [ResolveResult(hostname=host, host="127.0.0.1", port=port, family=socket.AF_INET, proto=0, flags=0)]
+
+    async def close(self) -> None:
+        """There is nothing to close."""
+
+
 @needs_openssl
 async def test_with_a_certificate_the_page_is_served_by_tls_and_the_cookie_is_for_tls(
     broker: Broker, users_file: Path, tmp_path: Path
@@ -272,7 +286,8 @@ async def test_with_a_certificate_the_page_is_served_by_tls_and_the_cookie_is_fo
     files = {"cert_file": issued.cert, "key_file": issued.key}
     async with web_server(broker.port, users_file=users_file, **files) as server:
         url = f"https://localhost:{server.port}"
-        trust = aiohttp.TCPConnector(ssl=ssl.create_default_context(cafile=str(authority.cert)))
+        context = ssl.create_default_context(cafile=str(authority.cert))
+        trust = aiohttp.TCPConnector(ssl=context, resolver=LocalHost())
         async with aiohttp.ClientSession(connector=trust, headers={"Origin": url}) as session:
             form = {"name": "anna", "password": "correct horse"}
             async with session.post(f"{url}/login", data=form, allow_redirects=False) as answer:
@@ -280,7 +295,7 @@ async def test_with_a_certificate_the_page_is_served_by_tls_and_the_cookie_is_fo
             async with session.ws_connect(f"{url}/socket", origin=url) as one:
                 assert json.loads(await one.receive_str())["user"] == "anna"
         with pytest.raises(aiohttp.ClientError):
-            async with aiohttp.ClientSession() as plain, plain.get(f"http://localhost:{server.port}/"):
+            async with aiohttp.ClientSession() as plain, plain.get(f"http://127.0.0.1:{server.port}/"):
                 pass
 
 
