@@ -27,6 +27,8 @@ Indices: TypeAlias = NDArray[np.intp]
 
 _NEAR = 10
 """Number of near poses that are tried as neighbours of a pose."""
+_AT_A_TIME = 1 << 20
+"""Pairs of poses compared at a time: limits the memory."""
 _MANY = 500
 """From this number of shots only the best start is improved, for a limited number of rounds."""
 _TURN_WEIGHT_S = 1e-4
@@ -198,8 +200,9 @@ def _near(cost: _Cost) -> Indices:
     n = len(rays)
     k = min(_NEAR, n - 1)
     out = np.empty((n, k), dtype=np.intp)
-    for begin in range(0, n, 512):
-        some = slice(begin, min(begin + 512, n))
+    block = max(1, _AT_A_TIME // n)
+    for begin in range(0, n, block):
+        some = slice(begin, min(begin + block, n))
         closeness = rays[some] @ rays.T
         closeness[np.arange(some.stop - some.start), np.arange(some.start, some.stop)] = -2.0
         out[some] = np.argpartition(-closeness, k - 1, axis=1)[:, :k]
