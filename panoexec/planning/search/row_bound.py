@@ -104,9 +104,10 @@ def _by_overlaps(camera: Camera, constraints: Constraints) -> int | None:
     low_caps, top_caps = capped & low_caps & begins, capped & top_caps & ends
     first = np.where(begins, images, np.inf)
     first = np.where(low_caps, np.minimum(first, 2), first)
-    more = _more_at_end(camera, constraints.band.elevation_max_deg, pitch, images, error)
+    tolerance = constraints.tolerance.pitch_deg
+    more = _more_at_end(camera, band.elevation_max_deg, pitch - tolerance, images, half_cell)
     last = np.where(ends, more, np.inf)
-    more = _more_at_end(camera, -constraints.band.elevation_min_deg, -pitch, images, error)
+    more = _more_at_end(camera, -band.elevation_min_deg, -pitch - tolerance, images, half_cell)
     first = np.where(capped, first, first + more)
     if np.any(low_caps | top_caps):
         highest, _ = highest_after_caps(camera, across, upwards)
@@ -139,14 +140,22 @@ def _shortest(first: FloatArray, images: FloatArray, last: FloatArray, reach: np
     return best
 
 
-def _more_at_end(camera: Camera, end_deg: float, pitch: FloatArray, images: FloatArray, error_deg: float) -> FloatArray:
-    """Images (k,) that the last row must have in addition, or another row, to cover the parallel at the band's end."""
+def _more_at_end(camera: Camera, end_deg: float, pitch: FloatArray, images: FloatArray, half_cell: float) -> FloatArray:
+    """Images (k,) that the last row must have in addition, or another row, to cover the parallel at the band's end.
+
+    Args:
+        camera: the camera.
+        end_deg: the band's upper end.
+        pitch: (k,) of the row, less the pitch error.
+        images: (k,) that the row has at least.
+        half_cell: how far its pitch may be from these, degrees.
+    """
     if end_deg > 90.0 - _POLAR_END_DEG:
         return np.zeros(len(pitch))
     more = np.zeros(len(pitch))
     near = np.nonzero(np.abs(pitch - end_deg) <= camera.vfov_deg)[0]
     if len(near):
-        shown = grown_shown_deg(camera, pitch[near] - error_deg, error_deg, end_deg)
+        shown = grown_shown_deg(camera, pitch[near], half_cell, end_deg)
         wanted = np.ceil(360.0 / np.maximum(shown, 1e-3) - 1e-9)
         more[near] = np.maximum(wanted - images[near], 0.0)
     return np.minimum(more, 1.0)
