@@ -105,9 +105,9 @@ def _by_overlaps(camera: Camera, constraints: Constraints) -> int | None:
     first = np.where(begins, images, np.inf)
     first = np.where(low_caps, np.minimum(first, 2), first)
     tolerance = constraints.tolerance.pitch_deg
-    more = _more_at_end(camera, band.elevation_max_deg, pitch - tolerance, images, half_cell)
+    more = more_at_end(camera, band.elevation_max_deg, pitch - tolerance, images, half_cell)
     last = np.where(ends, more, np.inf)
-    more = _more_at_end(camera, -band.elevation_min_deg, -pitch - tolerance, images, half_cell)
+    more = more_at_end(camera, -band.elevation_min_deg, -pitch - tolerance, images, half_cell)
     first = np.where(capped, first, first + more)
     if np.any(low_caps | top_caps):
         highest, _ = highest_after_caps(camera, across, upwards)
@@ -140,7 +140,7 @@ def _shortest(first: FloatArray, images: FloatArray, last: FloatArray, reach: np
     return best
 
 
-def _more_at_end(camera: Camera, end_deg: float, pitch: FloatArray, images: FloatArray, half_cell: float) -> FloatArray:
+def more_at_end(camera: Camera, end_deg: float, pitch: FloatArray, images: FloatArray, half_cell: float) -> FloatArray:
     """Images (k,) that the last row must have in addition, or another row, to cover the parallel at the band's end.
 
     Args:

@@ -18,7 +18,7 @@ from panoexec.planning.certificate.verdict import certify_poses
 from panoexec.planning.geometry.overlap import pairwise_overlap, union_overlap
 from panoexec.planning.model import NO_TOLERANCE, AngleBox, Band, Constraints, Tolerance
 from panoexec.planning.search.parallels import core_shown_deg, shown_deg
-from panoexec.planning.search.row_bound import least_images_in_rows
+from panoexec.planning.search.row_bound import least_images_in_rows, more_at_end
 from panoexec.planning.search.row_cells import closing_deg
 from panoexec.planning.search.row_limits import (
     fewest_images,
@@ -200,6 +200,18 @@ def test_only_caps_that_show_something_of_the_band_are_useful() -> None:
         shows = shown_deg(camera.half_width, camera.half_height, p, np.linspace(-60.0, 55.0, 200)).max() > 0
         assert useful or not shows
     assert not low[pitch == -90.0].any()
+
+
+def test_rows_anywhere_in_a_cell_need_no_more_images_at_the_end_than_counted() -> None:
+    camera, half, end = Camera.from_fov(50.0, 40.0), 0.05, 35.0
+    rng = np.random.default_rng(9)
+    pitch = rng.uniform(5.0, 60.0, 400)
+    shown = shown_deg(camera.half_width, camera.half_height, pitch + half * rng.uniform(-1.0, 1.0, 400), end)
+    some = shown > 1.0
+    needed = np.ceil(360.0 / shown[some])
+    # of as many images as fill the parallel none are lacking, of one fewer for nearly all
+    assert not more_at_end(camera, end, pitch[some], needed, half).any()
+    assert more_at_end(camera, end, pitch[some], needed - 1, half).mean() > 0.8
 
 
 def test_a_cap_beside_the_band_does_not_lower_the_bound() -> None:
