@@ -59,6 +59,9 @@ _MUCH_OVERLAP = 0.1
 _LAST_GROUP_ON = 3
 """Variants that are tried for fewer images: stronger demands than these seldom need fewer."""
 
+_ANALYSED_AT_ONCE_S = 0.2
+"""Processor time of a piece of the analysis why there is no plan, which is not interrupted; more than was measured."""
+
 
 def plan_certified(
     camera: Camera,
@@ -154,7 +157,7 @@ class _Planner:
                     f"no plan was found within the budget of {self._budget.seconds:g} s of processor time: "
                     "allow more (--budget), or ask for a smaller band, less overlap or a shorter focal length"
                 )
-            self._budget.reserve(0.0)
+            self._budget.reserve(_ANALYSED_AT_ONCE_S)
             raise infeasibility_error(self._camera, self._constraints, self._budget)
         best = replace(self._trials.best, cut=cut)
         if self._asked.masks and best.certificate.certified:

@@ -127,6 +127,20 @@ def test_an_infeasible_request_is_refused_within_the_budget_with_what_is_known_o
     assert any("infeasible" in text and text != whole for text in texts)
 
 
+@pytest.mark.parametrize("share", [0.5, 0.7, 0.8, 0.9, 0.95])
+def test_a_refusal_does_not_exceed_its_budget_by_a_piece_of_the_analysis(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch, share: float
+) -> None:
+    monkeypatch.setattr(infeasible, "_BISECTIONS", 2)
+    with pytest.raises(PlanningError):
+        plan_certified(CAMERA, INFEASIBLE)
+    budget_s = share * clock.now
+    clock.now = 0.0
+    with pytest.raises(PlanningError):
+        plan_certified(CAMERA, INFEASIBLE, budget_s=budget_s)
+    assert clock.now <= budget_s
+
+
 def test_what_does_not_fit_any_more_is_not_begun() -> None:
     now = [0.0]
     budget = SearchBudget(10.0, clock=lambda: now[0])
